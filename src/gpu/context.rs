@@ -1,0 +1,342 @@
+//! The device: choosing an adapter, opening it, compiling shaders, noticing its loss.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use crate::error::{Error, Result};
+use crate::gpu::recording::Dispatch;
+use crate::gpu::shader::{self, BindingKind};
+
+/// Which adapter to open.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum AdapterChoice {
+    /// The fastest kind: discrete, integrated, virtual, then software.
+    #[default]
+    Auto,
+    /// Position in the list that [`adapters`] returns.
+    Index(usize),
+    /// Part of the adapter's name, in any case.
+    Name(String),
+}
+
+impl std::fmt::Display for AdapterChoice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Auto => f.write_str("auto"),
+            Self::Index(i) => write!(f, "{i}"),
+            Self::Name(n) => f.write_str(n),
+        }
+    }
+}
+
+/// How to open a device.
+#[derive(Clone, Debug)]
+pub struct GpuOptions {
+    /// Which adapter.
+    pub adapter: AdapterChoice,
+    /// Longest wait for one run.
+    pub timeout: Duration,
+    /// Let wgpu add bounds checks to the shaders. They are written to stay in bounds, and tests
+    /// with sentinels behind every buffer hold them to it, so this is off by default: it costs up
+    /// to 1.7 times the run time on a software adapter.
+    pub checked: bool,
+}
+
+impl Default for GpuOptions {
+    fn default() -> Self {
+        Self { adapter: AdapterChoice::Auto, timeout: Duration::from_secs(120), checked: false }
+    }
+}
+
+/// What is known of an adapter without opening it.
+#[derive(Clone, Debug)]
+pub struct AdapterReport {
+    /// Name, backend, driver, kind.
+    pub info: wgpu::AdapterInfo,
+    /// What it offers.
+    pub limits: wgpu::Limits,
+    /// What it offers beside the core of WebGPU.
+    pub features: wgpu::Features,
+    /// What it lacks of the limits the shaders need, as `limit: required N, actual M`.
+    pub lacks: Vec<String>,
+}
+
+type PipelineKey = (&'static str, &'static str, Vec<(&'static str, u64)>);
+
+/// A shader entry point, compiled, with its bindings by name.
+#[derive(Debug)]
+pub(super) struct Pipeline {
+    pub pipeline: wgpu::ComputePipeline,
+    pub layout: wgpu::BindGroupLayout,
+    pub bindings: Vec<(String, u32, BindingKind)>,
+}
+
+/// An open device with its compiled pipelines. Cheap to share behind an [`Arc`].
+#[derive(Debug)]
+pub struct Gpu {
+    pub(super) device: wgpu::Device,
+    pub(super) queue: wgpu::Queue,
+    info: wgpu::AdapterInfo,
+    options: GpuOptions,
+    lost: Arc<Mutex<Option<String>>>,
+    modules: Mutex<HashMap<&'static str, Arc<Module>>>,
+    pipelines: Mutex<HashMap<PipelineKey, Arc<Pipeline>>>,
+}
+
+#[derive(Debug)]
+struct Module {
+    module: wgpu::ShaderModule,
+    reflection: shader::Reflection,
+}
+
+/// The limits that every shader keeps to: WebGPU's defaults.
+fn required_limits() -> wgpu::Limits {
+    wgpu::Limits::default()
+}
+
+fn instance() -> wgpu::Instance {
+    let mut desc = wgpu::InstanceDescriptor::new_without_display_handle();
+    desc.backends = wgpu::Backends::PRIMARY;
+    wgpu::Instance::new(desc)
+}
+
+fn rank(info: &wgpu::AdapterInfo) -> u8 {
+    match info.device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Cpu => 3,
+        wgpu::DeviceType::Other => 4,
+    }
+}
+
+async fn list() -> Vec<wgpu::Adapter> {
+    let mut found = instance().enumerate_adapters(wgpu::Backends::PRIMARY).await;
+    found.sort_by_key(|a| rank(&a.get_info()));
+    found
+}
+
+fn lacks(limits: &wgpu::Limits) -> Vec<String> {
+    let mut lacks = Vec::new();
+    required_limits().check_limits_with_fail_fn(limits, false, |name, required, actual| {
+        lacks.push(format!("{name}: required {required}, actual {actual}"));
+    });
+    lacks
+}
+
+/// All adapters, best first; a position in this list is an [`AdapterChoice::Index`].
+pub async fn adapters() -> Vec<AdapterReport> {
+    list()
+        .await
+        .iter()
+        .map(|a| AdapterReport {
+            info: a.get_info(),
+            limits: a.limits(),
+            features: a.features(),
+            lacks: lacks(&a.limits()),
+        })
+        .collect()
+}
+
+impl Gpu {
+    /// Opens the device that `options` ask for, with exactly WebGPU's default limits.
+    ///
+    /// # Errors
+    /// [`Error::NoAdapter`] if none matches; [`Error::Device`] if it cannot give the limits.
+    pub async fn open(options: GpuOptions) -> Result<Arc<Self>> {
+        let found = list().await;
+        let names: Vec<String> = found.iter().map(|a| a.get_info().name).collect();
+        let none = || Error::NoAdapter {
+            wanted: options.adapter.to_string(),
+            found: match names.is_empty() {
+                true => "none was found".into(),
+                false => format!("found {}", names.join(", ")),
+            },
+        };
+        let adapter = match &options.adapter {
+            AdapterChoice::Auto => found.iter().find(|a| lacks(&a.limits()).is_empty()),
+            AdapterChoice::Index(i) => found.get(*i),
+            AdapterChoice::Name(part) => {
+                let part = part.to_lowercase();
+                found.iter().find(|a| a.get_info().name.to_lowercase().contains(&part))
+            }
+        }
+        .ok_or_else(none)?;
+        let info = adapter.get_info();
+        let refused = |message: String| Error::Device { adapter: info.name.clone(), message };
+        let missing = lacks(&adapter.limits());
+        if !missing.is_empty() {
+            return Err(refused(missing.join("; ")));
+        }
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("smr-gpu"),
+            required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
+            required_limits: required_limits(),
+            ..Default::default()
+        };
+        let (device, queue) =
+            adapter.request_device(&descriptor).await.map_err(|e| refused(e.to_string()))?;
+        let lost = Arc::new(Mutex::new(None));
+        let latch = lost.clone();
+        device.set_device_lost_callback(move |reason, message| {
+            let mut latch = latch.lock().unwrap_or_else(PoisonError::into_inner);
+            latch.get_or_insert(format!("{reason:?}: {message}"));
+        });
+        Ok(Arc::new(Self {
+            device,
+            queue,
+            info,
+            options,
+            lost,
+            modules: Mutex::default(),
+            pipelines: Mutex::default(),
+        }))
+    }
+
+    /// The adapter's name, backend and driver.
+    pub fn info(&self) -> &wgpu::AdapterInfo {
+        &self.info
+    }
+
+    /// Whether stages can be timed on the device.
+    pub fn has_timestamps(&self) -> bool {
+        self.device.features().contains(wgpu::Features::TIMESTAMP_QUERY)
+    }
+
+    /// The longest wait for one run.
+    pub fn timeout(&self) -> Duration {
+        self.options.timeout
+    }
+
+    /// Destroys the device, as a driver reset would: every later run returns
+    /// [`Error::DeviceLost`].
+    pub fn destroy(&self) {
+        self.device.destroy();
+    }
+
+    /// # Errors
+    /// [`Error::DeviceLost`] once the driver has reported the loss.
+    pub(super) fn check_lost(&self) -> Result<()> {
+        match &*self.lost.lock().unwrap_or_else(PoisonError::into_inner) {
+            Some(message) => Err(Error::DeviceLost(message.clone())),
+            None => Ok(()),
+        }
+    }
+
+    /// Runs `work` and returns what the driver objected to, under the name `stage`.
+    pub(super) async fn scoped<T>(
+        &self,
+        stage: &str,
+        work: impl FnOnce() -> Result<T>,
+    ) -> Result<T> {
+        let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let internal = self.device.push_error_scope(wgpu::ErrorFilter::Internal);
+        let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let result = work();
+        let errors = [validation.pop().await, internal.pop().await, memory.pop().await];
+        self.check_lost()?;
+        match errors.into_iter().flatten().next() {
+            Some(e) => Err(Error::Driver { stage: stage.into(), message: e.to_string() }),
+            None => result,
+        }
+    }
+
+    fn module(&self, shader: &'static shader::Shader) -> Result<Arc<Module>> {
+        let mut modules = self.modules.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(module) = modules.get(shader.stem) {
+            return Ok(module.clone());
+        }
+        let reflection = shader::reflect(shader)?;
+        let desc = wgpu::ShaderModuleDescriptor {
+            label: Some(shader.stem),
+            source: wgpu::ShaderSource::Wgsl(reflection.text.as_str().into()),
+        };
+        let module = if self.options.checked {
+            self.device.create_shader_module(desc)
+        } else {
+            // SAFETY: the shaders are this crate's own; each index is below the sizes in its
+            // `Params`, which `record` takes from the bound tensors, every loop is bounded by
+            // those sizes, and the tests run each with sentinels behind every buffer.
+            unsafe {
+                self.device
+                    .create_shader_module_trusted(desc, wgpu::ShaderRuntimeChecks::unchecked())
+            }
+        };
+        let module = Arc::new(Module { module, reflection });
+        modules.insert(shader.stem, module.clone());
+        Ok(module)
+    }
+
+    /// The pipeline for a dispatch, compiled on first use.
+    pub(super) fn pipeline(&self, dispatch: &Dispatch) -> Result<Arc<Pipeline>> {
+        let shader = dispatch.shader;
+        let constants = dispatch.constants.iter().map(|(n, v)| (*n, v.to_bits())).collect();
+        let key = (shader.stem, dispatch.entry, constants);
+        let mut pipelines = self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(pipeline) = pipelines.get(&key) {
+            return Ok(pipeline.clone());
+        }
+        let module = self.module(shader)?;
+        let entry = module.reflection.entries.iter().find(|e| e.name == dispatch.entry);
+        let entry = entry.ok_or_else(|| Error::Shader {
+            file: format!("{}.wgsl", shader.stem),
+            line: 0,
+            message: format!("no entry point `{}`", dispatch.entry),
+        })?;
+        let layout_entries: Vec<_> = entry
+            .bindings
+            .iter()
+            .map(|(_, binding, kind)| wgpu::BindGroupLayoutEntry {
+                binding: *binding,
+                visibility: wgpu::ShaderStages::COMPUTE,
+                ty: wgpu::BindingType::Buffer {
+                    ty: match kind {
+                        BindingKind::Uniform => wgpu::BufferBindingType::Uniform,
+                        BindingKind::Read => wgpu::BufferBindingType::Storage { read_only: true },
+                        BindingKind::ReadWrite => {
+                            wgpu::BufferBindingType::Storage { read_only: false }
+                        }
+                    },
+                    has_dynamic_offset: false,
+                    min_binding_size: None,
+                },
+                count: None,
+            })
+            .collect();
+        let label = format!("{}::{}", shader.stem, dispatch.entry);
+        let layout = self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some(&label),
+            entries: &layout_entries,
+        });
+        let pipeline_layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(&label),
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        });
+        let pipeline = self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(&label),
+            layout: Some(&pipeline_layout),
+            module: &module.module,
+            entry_point: Some(dispatch.entry),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants: &dispatch.constants,
+                // Every shader writes its workgroup memory before it reads it.
+                zero_initialize_workgroup_memory: false,
+            },
+            cache: None,
+        });
+        let pipeline = Arc::new(Pipeline { pipeline, layout, bindings: entry.bindings.clone() });
+        pipelines.insert(key, pipeline.clone());
+        Ok(pipeline)
+    }
+}
+
+impl Drop for Gpu {
+    /// A process that exits while a software driver still compiles can crash: wait for it.
+    fn drop(&mut self) {
+        let wait = wgpu::PollType::Wait { submission_index: None, timeout: Some(self.timeout()) };
+        // Nothing is left to do about a device that does not answer.
+        let _ = self.device.poll(wait);
+    }
+}

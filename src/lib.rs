@@ -1,0 +1,11 @@
+//! smr-gpu
+#![warn(missing_docs)]
+
+pub mod cpu;
+pub mod error;
+pub mod gpu;
+pub mod ops;
+pub mod shape;
+pub mod tensor;
+
+pub use error::{Error, Result};

@@ -1,0 +1,316 @@
+//! 2-D convolution with bias, optional residual and ReLU.
+
+use crate::cpu::{self, ConvShape};
+use crate::error::{Error, Result};
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::case::{Case, random};
+use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect, expect_inputs};
+use crate::ops::params::Params as Named;
+use crate::shape::{DType, TensorSpec};
+use crate::tensor::{Tensor, Value};
+
+shader_params! {
+    struct Params {
+        in_channels: u32,
+        in_height: u32,
+        in_width: u32,
+        out_channels: u32,
+        out_height: u32,
+        out_width: u32,
+        kernel_height: u32,
+        kernel_width: u32,
+        stride: u32,
+        padding: u32,
+        dilation: u32,
+        has_residual: u32,
+        relu: u32,
+    }
+}
+
+static SHADER: Shader =
+    Shader { stem: "conv2d", source: include_str!("../../wgsl/conv2d.wgsl"), params: PARAMS };
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "conv2d", shader: &SHADER, build, cases };
+
+/// Output channels that one workgroup computes.
+const CHANNELS: usize = 16;
+/// Output pixels that one workgroup computes.
+const PIXELS: usize = 128;
+
+/// PyTorch's `conv2d` on `[C, H, W]`, then `+ residual`, then ReLU.
+///
+/// Inputs: `input [I, H, W]`, `weight [O, I, kh, kw]`, `bias [O]` if `bias`, `residual [O, H', W']`
+/// if `residual`. Output: `output [O, H', W']`.
+#[derive(Clone, Copy, Debug)]
+pub struct Conv2d {
+    /// Step between outputs.
+    pub stride: usize,
+    /// Zeros on each side.
+    pub padding: usize,
+    /// Step between taps.
+    pub dilation: usize,
+    /// Whether there is a bias.
+    pub bias: bool,
+    /// Whether a residual is added before the ReLU.
+    pub residual: bool,
+    /// Whether a ReLU comes last.
+    pub relu: bool,
+}
+
+impl Default for Conv2d {
+    fn default() -> Self {
+        Self { stride: 1, padding: 0, dilation: 1, bias: true, residual: false, relu: false }
+    }
+}
+
+impl Conv2d {
+    fn shape(&self) -> ConvShape {
+        ConvShape { stride: self.stride, padding: self.padding, dilation: self.dilation }
+    }
+
+    /// Splits the inputs that came into the named ones.
+    fn split<'a, T>(&self, inputs: &'a [T]) -> (&'a T, &'a T, Option<&'a T>, Option<&'a T>) {
+        let bias = self.bias.then(|| &inputs[2]);
+        let residual = self.residual.then(|| &inputs[2 + usize::from(self.bias)]);
+        (&inputs[0], &inputs[1], bias, residual)
+    }
+}
+
+impl Op for Conv2d {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        let mut names = vec!["input", "weight"];
+        names.extend(self.bias.then_some("bias"));
+        names.extend(self.residual.then_some("residual"));
+        names
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["output"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        expect_inputs(self, inputs.len())?;
+        let name = self.name();
+        for (param, value) in [("stride", self.stride), ("dilation", self.dilation)] {
+            if value == 0 {
+                return Err(Error::param(name, param, "at least 1", value));
+            }
+        }
+        let (input, weight, bias, residual) = self.split(inputs);
+        let [in_c, in_h, in_w] = dims(name, "input", input, DType::F32)?;
+        let [out_c, weight_c, kh, kw] = dims(name, "weight", weight, DType::F32)?;
+        if weight_c != in_c || out_c * in_c * kh * kw == 0 {
+            let expected = format!("[O, {in_c}, kh, kw] without a zero");
+            return Err(Error::tensor(name, "weight", expected, weight));
+        }
+        let fits = self.shape().output(in_h, kh).zip(self.shape().output(in_w, kw));
+        let Some((out_h, out_w)) = fits else {
+            let expected = format!("at most the padded input ({input})");
+            return Err(Error::tensor(name, "weight", expected, weight));
+        };
+        let output = TensorSpec::f32([out_c, out_h, out_w]);
+        if let Some(bias) = bias {
+            expect(name, "bias", &TensorSpec::f32([out_c]), bias)?;
+        }
+        if let Some(residual) = residual {
+            expect(name, "residual", &output, residual)?;
+        }
+        Ok(vec![output])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let (&input, &weight, bias, residual) = self.split(inputs);
+        let [in_c, in_h, in_w] = [0, 1, 2].map(|i| recording.dims(input)[i] as u32);
+        let [out_c, _, kh, kw] = [0, 1, 2, 3].map(|i| recording.dims(weight)[i] as u32);
+        let [out_h, out_w] = [1, 2].map(|i| recording.dims(outputs[0])[i] as u32);
+        let name = recording.info(weight).name.clone();
+        let packed = pack_weight(recording.constant_value(self.name(), weight)?.f32()?);
+        let padded = pad_bias(
+            match bias {
+                Some(id) => recording.constant_value(self.name(), *id)?.f32()?.data().to_vec(),
+                None => Vec::new(),
+            },
+            out_c as usize,
+        );
+        let weight = recording.constant(format!("{name} (packed)"), packed);
+        let bias = recording.constant(format!("{name} (bias)"), padded);
+        let params = Params {
+            in_channels: in_c,
+            in_height: in_h,
+            in_width: in_w,
+            out_channels: out_c,
+            out_height: out_h,
+            out_width: out_w,
+            kernel_height: kh,
+            kernel_width: kw,
+            stride: self.stride as u32,
+            padding: self.padding as u32,
+            dilation: self.dilation as u32,
+            has_residual: u32::from(self.residual),
+            relu: u32::from(self.relu),
+        };
+        recording.dispatch(Dispatch {
+            shader: &SHADER,
+            entry: "main",
+            constants: vec![],
+            params: bytemuck::bytes_of(&params).to_vec(),
+            bindings: vec![
+                ("input", input),
+                ("weight", weight),
+                ("bias", bias),
+                // Any readable buffer serves where there is no residual: it is not read.
+                ("residual", *residual.unwrap_or(&input)),
+                ("output", outputs[0]),
+            ],
+            grid: Grid::Workgroups([
+                (out_h * out_w).div_ceil(PIXELS as u32),
+                out_c.div_ceil(CHANNELS as u32),
+                1,
+            ]),
+        });
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        let specs: Vec<_> = inputs.iter().map(|v| v.spec()).collect();
+        self.infer(&specs)?;
+        let (input, weight, bias, residual) = self.split(inputs);
+        let bias = bias.map(|v| v.f32()).transpose()?;
+        let residual = residual.map(|v| v.f32()).transpose()?;
+        let (input, weight) = (input.f32()?, weight.f32()?);
+        Ok(vec![cpu::conv2d(input, weight, bias, residual, self.shape(), self.relu).into()])
+    }
+
+    /// A sum of n products in any order, with or without fused multiply-adds, is at most
+    /// n·ε·Σ|w||x| off (Higham, Accuracy and Stability, §3.1); bias and residual add two terms.
+    fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        let magnitude = |v: &Value| -> Result<Tensor> {
+            let t = v.f32()?;
+            Tensor::new(t.shape().clone(), t.data().iter().map(|x| x.abs()).collect())
+        };
+        let (input, weight, bias, residual) = self.split(inputs);
+        let bias = bias.map(|v| magnitude(v)).transpose()?;
+        let residual = residual.map(|v| magnitude(v)).transpose()?;
+        let (input, weight) = (magnitude(input)?, magnitude(weight)?);
+        let terms = weight.dims()[1..].iter().product::<usize>() + 2;
+        let sums =
+            cpu::conv2d(&input, &weight, bias.as_ref(), residual.as_ref(), self.shape(), false);
+        // The subnormal floor: a driver may flush each product to zero.
+        let floor = terms as f64 * f64::from(f32::MIN_POSITIVE);
+        let each = sums.data().iter().map(|s| terms as f64 * EPS * f64::from(*s) + floor);
+        Ok(vec![Tolerance::Each(each.collect())])
+    }
+}
+
+/// `[O, I, kh, kw]` to `[kh, kw, I, O']`, with zeros up to a whole number of [`CHANNELS`].
+fn pack_weight(weight: &Tensor) -> Tensor {
+    let [out_c, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
+    let padded = out_c.next_multiple_of(CHANNELS);
+    let mut packed = Tensor::zeros([kh, kw, in_c, padded]);
+    let to = packed.data_mut();
+    for o in 0..out_c {
+        for i in 0..in_c {
+            for tap in 0..kh * kw {
+                to[(tap * in_c + i) * padded + o] = weight.data()[(o * in_c + i) * kh * kw + tap];
+            }
+        }
+    }
+    packed
+}
+
+fn pad_bias(mut bias: Vec<f32>, out_c: usize) -> Tensor {
+    bias.resize(out_c.next_multiple_of(CHANNELS), 0.0);
+    Tensor::from_fn([bias.len()], |i| bias[i])
+}
+
+fn build(params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {
+    Ok(Box::new(Conv2d {
+        stride: params.take("stride", 1)?,
+        padding: params.take("padding", 0)?,
+        dilation: params.take("dilation", 1)?,
+        bias: present.contains(&"bias"),
+        residual: present.contains(&"residual"),
+        relu: params.take("relu", false)?,
+    }))
+}
+
+fn cases() -> Vec<Case> {
+    let tensor = |dims: &[usize], data: &[f32]| -> Value {
+        Tensor::from_fn(crate::shape::Shape(dims.to_vec()), |i| data[i]).into()
+    };
+    let mut cases = vec![
+        // 2x2 kernel [[1, 2], [3, 4]] over [[1, 2, 3], [4, 5, 6], [7, 8, 9]], plus 0.5:
+        // 1·1 + 2·2 + 3·4 + 4·5 = 37, and so on.
+        Case::new(
+            "2x2 by hand",
+            Conv2d::default(),
+            vec![
+                tensor(&[1, 3, 3], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]),
+                tensor(&[1, 1, 2, 2], &[1.0, 2.0, 3.0, 4.0]),
+                tensor(&[1], &[0.5]),
+            ],
+        )
+        .by_hand(vec![tensor(&[1, 2, 2], &[37.5, 47.5, 67.5, 77.5])]),
+        // Dilation 2 with padding 2 over one pixel: only the centre tap (5) sees it; 5·2 − 12 + 1
+        // = −1, and the ReLU makes 0.
+        Case::new(
+            "dilated in padding, residual and ReLU by hand",
+            Conv2d { padding: 2, dilation: 2, residual: true, relu: true, ..Conv2d::default() },
+            vec![
+                tensor(&[1, 1, 1], &[2.0]),
+                tensor(&[2, 1, 3, 3], &std::array::from_fn::<f32, 18, _>(|i| (i % 9 + 1) as f32)),
+                tensor(&[2], &[-12.0, 0.25]),
+                tensor(&[2, 1, 1], &[1.0, -0.5]),
+            ],
+        )
+        .by_hand(vec![tensor(&[2, 1, 1], &[0.0, 9.75])]),
+    ];
+    // (name, in_c, h, w, out_c, kernel, stride, padding, dilation, bias, residual, relu)
+    let shapes = [
+        ("one of everything", 1, 1, 1, 1, 1, 1, 0, 1, true, false, false),
+        ("1x1 head, odd channels", 61, 13, 7, 37, 1, 1, 0, 1, true, false, false),
+        ("3x3 of prime sizes", 5, 17, 19, 13, 3, 1, 1, 1, true, true, true),
+        ("7x7 stride 2, as conv1", 3, 31, 29, 64, 7, 2, 3, 1, true, false, true),
+        ("3x3 dilation 2, as the fusion", 16, 10, 11, 31, 3, 1, 2, 2, true, false, true),
+        ("1x1 stride 2, as a downsample", 8, 9, 9, 16, 1, 2, 0, 1, false, false, false),
+        ("127 pixels: a workgroup less one", 3, 1, 127, 16, 1, 1, 0, 1, false, false, false),
+        ("129 pixels: a workgroup and one", 3, 1, 129, 17, 1, 1, 0, 1, false, true, false),
+        ("kernel larger than the picture", 2, 3, 2, 4, 5, 1, 2, 1, true, false, false),
+    ];
+    for (i, s) in shapes.into_iter().enumerate() {
+        let (name, in_c, h, w, out_c, kernel, stride, padding, dilation, bias, residual, relu) = s;
+        let op = Conv2d { stride, padding, dilation, bias, residual, relu };
+        let seed = i as u64 * 10;
+        let mut inputs: Vec<Value> = vec![
+            random(seed, [in_c, h, w]).into(),
+            random(seed + 1, [out_c, in_c, kernel, kernel]).into(),
+        ];
+        if bias {
+            inputs.push(random(seed + 2, [out_c]).into());
+        }
+        if residual {
+            let out = |n| op.shape().output(n, kernel).unwrap_or(0);
+            inputs.push(random(seed + 3, [out_c, out(h), out(w)]).into());
+        }
+        cases.push(Case::new(name, op, inputs));
+    }
+    // Large against small: the bound grows with Σ|w||x|, not with the result.
+    let mut wide = random(99, [32, 6, 6]);
+    for (i, x) in wide.data_mut().iter_mut().enumerate() {
+        *x *= 10f32.powi((i % 13) as i32 - 6);
+    }
+    let op = Conv2d { padding: 1, bias: false, ..Conv2d::default() };
+    let inputs = vec![wide.into(), random(98, [8, 32, 3, 3]).into()];
+    cases.push(Case::new("twelve orders of magnitude", op, inputs));
+    cases
+}

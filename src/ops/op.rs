@@ -1,0 +1,123 @@
+//! What every operation offers: the trait that binds a shader to its CPU reference.
+
+use std::fmt::Debug;
+
+use crate::error::{Error, Result};
+use crate::gpu::{Recording, Shader, TensorId};
+use crate::ops::case::Case;
+use crate::ops::params::Params;
+use crate::shape::TensorSpec;
+use crate::tensor::Value;
+
+/// One operation with its parameters.
+pub trait Op: Debug + Send + Sync {
+    /// Stem of the operation's files.
+    fn name(&self) -> &'static str;
+
+    /// Names of the inputs that this instance takes, in order.
+    fn inputs(&self) -> Vec<&'static str>;
+
+    /// Names of the outputs, in order.
+    fn outputs(&self) -> Vec<&'static str>;
+
+    /// Checks the inputs' shapes and types and tells the outputs'.
+    ///
+    /// # Errors
+    /// [`Error::Tensor`] or [`Error::Param`] that names what does not fit.
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>>;
+
+    /// Appends the dispatches that compute `outputs` from `inputs`, whose shapes `infer` accepted.
+    ///
+    /// # Errors
+    /// [`Error::Capacity`] where a shader's fixed capacity is too small.
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()>;
+
+    /// The same on the CPU, from the definition, with f64 sums.
+    ///
+    /// # Errors
+    /// As [`Op::infer`].
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>>;
+
+    /// How far the shader's outputs may be from the reference's: a bound with a reason, by output.
+    ///
+    /// # Errors
+    /// As [`Op::infer`].
+    fn tolerance(&self, inputs: &[&Value], reference: &[Value]) -> Result<Vec<Tolerance>>;
+
+    /// How many leading elements of each output are defined, where a count on the device decides;
+    /// what lies behind them is neither written nor compared.
+    fn defined(&self, reference: &[Value], _inputs: &[&Value]) -> Vec<usize> {
+        reference.iter().map(|v| v.spec().shape.elements()).collect()
+    }
+}
+
+/// How far one output may be from the reference's.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Tolerance {
+    /// Equal bits: indices, counts, copies.
+    Exact,
+    /// The same absolute bound for each element.
+    Uniform(f64),
+    /// An absolute bound for each element.
+    Each(Vec<f64>),
+}
+
+/// Unit roundoff of f32: half the distance from 1 to the next float.
+pub const EPS: f64 = f32::EPSILON as f64 / 2.0;
+
+/// An operation's entry in [`crate::ops::OPS`].
+#[derive(Debug)]
+pub struct Entry {
+    /// Stem of the operation's files.
+    pub name: &'static str,
+    /// Its shader.
+    pub shader: &'static Shader,
+    /// Builds the operation from named parameters, given which tensors are present.
+    pub build: fn(&mut Params, &[&str]) -> Result<Box<dyn Op>>,
+    /// The cases that every implementation of it must pass.
+    pub cases: fn() -> Vec<Case>,
+}
+
+/// Checks that as many inputs came as the operation names.
+///
+/// # Errors
+/// [`Error::Tensor`].
+pub fn expect_inputs(op: &dyn Op, got: usize) -> Result<()> {
+    let names = op.inputs();
+    if names.len() != got {
+        return Err(Error::tensor(op.name(), &names.join(", "), names.len(), got));
+    }
+    Ok(())
+}
+
+/// The dimensions of `spec` if it has rank `N` and type f32.
+///
+/// # Errors
+/// [`Error::Tensor`] that names the operation and the tensor.
+pub fn dims<const N: usize>(
+    op: &str,
+    tensor: &str,
+    spec: &TensorSpec,
+    dtype: crate::shape::DType,
+) -> Result<[usize; N]> {
+    <[usize; N]>::try_from(spec.shape.0.as_slice())
+        .ok()
+        .filter(|_| spec.dtype == dtype)
+        .ok_or_else(|| Error::tensor(op, tensor, format!("{dtype} of rank {N}"), spec))
+}
+
+/// Checks a tensor's whole spec.
+///
+/// # Errors
+/// [`Error::Tensor`] that names the operation and the tensor.
+pub fn expect(op: &str, tensor: &str, expected: &TensorSpec, got: &TensorSpec) -> Result<()> {
+    if expected != got {
+        return Err(Error::tensor(op, tensor, expected, got));
+    }
+    Ok(())
+}

@@ -1,0 +1,139 @@
+//! Dense tensors in host memory.
+
+use crate::error::{Error, Result};
+use crate::shape::{DType, Shape, TensorSpec};
+
+/// A dense row-major tensor; pictures and feature maps are `[C, H, W]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tensor<T = f32> {
+    shape: Shape,
+    data: Vec<T>,
+}
+
+impl<T: Copy + Default> Tensor<T> {
+    /// A tensor of `data`, row-major.
+    ///
+    /// # Errors
+    /// [`Error::Tensor`] if `data` is not as long as `shape` says.
+    pub fn new(shape: impl Into<Shape>, data: Vec<T>) -> Result<Self> {
+        let shape = shape.into();
+        if shape.elements() != data.len() {
+            let expected = format!("{} values for shape {shape}", shape.elements());
+            return Err(Error::tensor("tensor", "data", expected, data.len()));
+        }
+        Ok(Self { shape, data })
+    }
+
+    /// A tensor whose values are computed from their linear index.
+    pub fn from_fn(shape: impl Into<Shape>, value: impl FnMut(usize) -> T) -> Self {
+        let shape = shape.into();
+        let data = (0..shape.elements()).map(value).collect();
+        Self { shape, data }
+    }
+
+    /// A tensor of zeros.
+    pub fn zeros(shape: impl Into<Shape>) -> Self {
+        Self::from_fn(shape, |_| T::default())
+    }
+
+    /// Dimensions, outermost first.
+    pub fn shape(&self) -> &Shape {
+        &self.shape
+    }
+
+    /// Dimensions as a slice.
+    pub fn dims(&self) -> &[usize] {
+        &self.shape.0
+    }
+
+    /// Values, row-major.
+    pub fn data(&self) -> &[T] {
+        &self.data
+    }
+
+    /// Values, row-major, to be changed.
+    pub fn data_mut(&mut self) -> &mut [T] {
+        &mut self.data
+    }
+
+    /// The values alone.
+    pub fn into_data(self) -> Vec<T> {
+        self.data
+    }
+}
+
+/// A tensor of either element type.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Value {
+    /// Floats.
+    F32(Tensor<f32>),
+    /// Indices, counts, packed pixels.
+    U32(Tensor<u32>),
+}
+
+impl Value {
+    /// Shape and element type.
+    pub fn spec(&self) -> TensorSpec {
+        match self {
+            Self::F32(t) => TensorSpec { shape: t.shape.clone(), dtype: DType::F32 },
+            Self::U32(t) => TensorSpec { shape: t.shape.clone(), dtype: DType::U32 },
+        }
+    }
+
+    /// The values' bytes in host order, as a storage buffer holds them.
+    pub fn bytes(&self) -> &[u8] {
+        match self {
+            Self::F32(t) => bytemuck::cast_slice(&t.data),
+            Self::U32(t) => bytemuck::cast_slice(&t.data),
+        }
+    }
+
+    /// A value read back from a buffer's bytes.
+    ///
+    /// # Errors
+    /// [`Error::Tensor`] if `bytes` is not as long as `spec` says.
+    pub fn from_bytes(spec: &TensorSpec, bytes: &[u8]) -> Result<Self> {
+        Ok(match spec.dtype {
+            DType::F32 => {
+                Self::F32(Tensor::new(spec.shape.clone(), bytemuck::pod_collect_to_vec(bytes))?)
+            }
+            DType::U32 => {
+                Self::U32(Tensor::new(spec.shape.clone(), bytemuck::pod_collect_to_vec(bytes))?)
+            }
+        })
+    }
+
+    /// The float tensor.
+    ///
+    /// # Errors
+    /// [`Error::Tensor`] if the elements are integers.
+    pub fn f32(&self) -> Result<&Tensor<f32>> {
+        match self {
+            Self::F32(t) => Ok(t),
+            Self::U32(_) => Err(Error::tensor("tensor", "value", DType::F32, self.spec())),
+        }
+    }
+
+    /// The integer tensor.
+    ///
+    /// # Errors
+    /// [`Error::Tensor`] if the elements are floats.
+    pub fn u32(&self) -> Result<&Tensor<u32>> {
+        match self {
+            Self::U32(t) => Ok(t),
+            Self::F32(_) => Err(Error::tensor("tensor", "value", DType::U32, self.spec())),
+        }
+    }
+}
+
+impl From<Tensor<f32>> for Value {
+    fn from(t: Tensor<f32>) -> Self {
+        Self::F32(t)
+    }
+}
+
+impl From<Tensor<u32>> for Value {
+    fn from(t: Tensor<u32>) -> Self {
+        Self::U32(t)
+    }
+}

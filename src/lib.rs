@@ -1,4 +1,4 @@
-//! smr-gpu
+//! Snap joints in tactile pictures, found by WGSL compute shaders.
 #![warn(missing_docs)]
 
 pub mod cpu;

@@ -16,6 +16,9 @@ const RELATIVE_L2: f64 = 1e-5;
 /// The same on untrained weights, whose stages amplify rounding more than trained ones do; a wrong
 /// wire or shape is off by orders more.
 const UNTRAINED: f64 = 1e-4;
+/// What is pooled from an untrained map: it is noise, which changes by its own size from one cell
+/// to the next, so that the bound above on a box of some 50 pixels, 6 cells, is 6e-4 here.
+const UNTRAINED_POOLED: f64 = 6e-4;
 
 fn file(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
@@ -208,13 +211,13 @@ fn every_variant_matches_its_reference() {
         let recording = graph.record(&keep).expect("a recording");
         let plan = Plan::new(support::gpu(), &recording, PlanOptions::default());
         let got = pollster::block_on(plan).expect("a plan").run(&inputs).expect("a run").values;
-        for (name, rows) in [
-            ("rpn.cls", None),
-            ("rpn.bbox", None),
-            ("proposals", Some(1)),
-            ("roi_head.pool", Some(1)),
-            ("roi_head.cls_score", Some(1)),
-            ("roi_head.bbox_pred", Some(1)),
+        for (name, rows, bound) in [
+            ("rpn.cls", None, UNTRAINED),
+            ("rpn.bbox", None, UNTRAINED),
+            ("proposals", Some(1), UNTRAINED),
+            ("roi_head.pool", Some(1), UNTRAINED_POOLED),
+            ("roi_head.cls_score", Some(1), UNTRAINED_POOLED),
+            ("roi_head.bbox_pred", Some(1), UNTRAINED_POOLED),
         ] {
             let found = keep.iter().find(|id| graph.name(**id) == name);
             let id = found.unwrap_or_else(|| panic!("{variant:?} has no {name}"));
@@ -222,7 +225,7 @@ fn every_variant_matches_its_reference() {
             let row: usize = got.dims()[1..].iter().product();
             let n = rows.map_or(got.data().len(), |r: usize| r * row);
             let error = relative_l2(&got.data()[..n], &want.data()[..n]);
-            assert!(error <= UNTRAINED, "{variant:?} {name}: {error:.2e}");
+            assert!(error <= bound, "{variant:?} {name}: {error:.2e}");
         }
         assert!(got[&network.count].u32().expect("a count").data()[0] > 0, "{variant:?}");
     }

@@ -1,9 +1,9 @@
 // 2-D convolution with bias, optional residual and ReLU, on [C, H, W].
 //
-// One invocation computes 16 output channels at 2 pixels and keeps its sums in registers; the
-// 64 invocations of a workgroup share the weights they read, at 128 neighbouring pixels. The taps
-// are the outer loops, so whether a pixel lies in the padding is decided once a tap, not once a
-// channel.
+// One invocation computes 8 output channels at 8 pixels and keeps its 64 sums in registers: 16 loads
+// for 64 multiply-adds. The 64 invocations of a workgroup are 8 groups of pixels by 8 groups of
+// channels. The taps are the outer loops, so whether a pixel lies in the padding is decided once a
+// tap, not once a channel.
 
 // include: relu
 
@@ -23,42 +23,46 @@ struct Params {
     relu: u32,
 }
 
-const PIXELS: u32 = 64u;
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> input: array<f32>;
-// [kernel_height][kernel_width][in_channels][out_channels / 4], padded to 16 output channels.
+// [kernel_height][kernel_width][in_channels][out_channels / 4], padded to 64 output channels.
 @group(0) @binding(2) var<storage, read> weight: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read> bias: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> bias: array<f32>;
 @group(0) @binding(4) var<storage, read> residual: array<f32>;
 @group(0) @binding(5) var<storage, read_write> output: array<f32>;
 
-// Where the tap (ky, kx) of output pixel `pixel` reads channel 0, or the last word if in padding.
+// Where a tap of four output pixels reads channel 0, and whether it lies inside; outside reads 0.
 struct Tap {
-    address: u32,
-    inside: bool,
+    address: vec4<u32>,
+    inside: vec4<bool>,
 }
 
-fn tap(pixel: u32, ky: u32, kx: u32) -> Tap {
+fn tap(pixel: vec4<u32>, ky: u32, kx: u32) -> Tap {
     let oy = pixel / params.out_width;
     let ox = pixel - oy * params.out_width;
     // Wraps below zero to a large number, so that one comparison finds both sides.
     let iy = oy * params.stride + ky * params.dilation - params.padding;
     let ix = ox * params.stride + kx * params.dilation - params.padding;
-    let inside = iy < params.in_height && ix < params.in_width
-        && pixel < params.out_height * params.out_width;
-    return Tap(select(0u, iy * params.in_width + ix, inside), inside);
+    let inside = (iy < vec4<u32>(params.in_height)) & (ix < vec4<u32>(params.in_width))
+        & (pixel < vec4<u32>(params.out_height * params.out_width));
+    return Tap(select(vec4<u32>(0u), iy * params.in_width + ix, inside), inside);
 }
 
-fn store(pixel: u32, channel: u32, sums: vec4<f32>) {
-    let area = params.out_height * params.out_width;
-    if pixel >= area {
+fn load(t: Tap, offset: u32) -> vec4<f32> {
+    let at = t.address + offset;
+    let x = vec4<f32>(input[at.x], input[at.y], input[at.z], input[at.w]);
+    return select(vec4<f32>(0.0), x, t.inside);
+}
+
+fn store(pixel: vec4<u32>, channel: u32, sums: vec4<f32>) {
+    if channel >= params.out_channels {
         return;
     }
-    let total = sums + bias[channel / 4u];
+    let area = params.out_height * params.out_width;
+    var total = sums + bias[channel];
     for (var i = 0u; i < 4u; i++) {
-        if channel + i < params.out_channels {
-            let at = (channel + i) * area + pixel;
+        if pixel[i] < area {
+            let at = channel * area + pixel[i];
             var value = total[i];
             if params.has_residual != 0u {
                 value += residual[at];
@@ -76,61 +80,66 @@ fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let first = workgroup.x * 2u * PIXELS + local;
-    let second = first + PIXELS;
-    let channel = workgroup.y * 16u;
+    let pixel = workgroup.x * 64u + local % 8u;
+    let near = pixel + vec4<u32>(0u, 8u, 16u, 24u);
+    let far = near + 32u;
+    let channel = workgroup.y * 64u + local / 8u * 8u;
     let in_area = params.in_height * params.in_width;
-    let weight_stride = ((params.out_channels + 15u) / 16u) * 4u;
+    let weight_stride = ((params.out_channels + 63u) / 64u) * 16u;
 
-    var total_a = array<vec4<f32>, 4>();
-    var total_b = array<vec4<f32>, 4>();
+    var n0 = vec4<f32>(0.0);
+    var f0 = vec4<f32>(0.0);
+    var n1 = vec4<f32>(0.0);
+    var f1 = vec4<f32>(0.0);
+    var n2 = vec4<f32>(0.0);
+    var f2 = vec4<f32>(0.0);
+    var n3 = vec4<f32>(0.0);
+    var f3 = vec4<f32>(0.0);
+    var n4 = vec4<f32>(0.0);
+    var f4 = vec4<f32>(0.0);
+    var n5 = vec4<f32>(0.0);
+    var f5 = vec4<f32>(0.0);
+    var n6 = vec4<f32>(0.0);
+    var f6 = vec4<f32>(0.0);
+    var n7 = vec4<f32>(0.0);
+    var f7 = vec4<f32>(0.0);
+
     var weight_at = channel / 4u;
     for (var ky = 0u; ky < params.kernel_height; ky++) {
         for (var kx = 0u; kx < params.kernel_width; kx++) {
-            let tap_a = tap(first, ky, kx);
-            let tap_b = tap(second, ky, kx);
-            var at_a = tap_a.address;
-            var at_b = tap_b.address;
-            // Each tap sums for itself: shorter sums lose fewer digits.
-            var a0 = vec4<f32>(0.0);
-            var a1 = vec4<f32>(0.0);
-            var a2 = vec4<f32>(0.0);
-            var a3 = vec4<f32>(0.0);
-            var b0 = vec4<f32>(0.0);
-            var b1 = vec4<f32>(0.0);
-            var b2 = vec4<f32>(0.0);
-            var b3 = vec4<f32>(0.0);
+            let tap_near = tap(near, ky, kx);
+            let tap_far = tap(far, ky, kx);
+            var offset = 0u;
             for (var c = 0u; c < params.in_channels; c++) {
-                let a = select(0.0, input[at_a], tap_a.inside);
-                let b = select(0.0, input[at_b], tap_b.inside);
-                let w0 = weight[weight_at];
-                let w1 = weight[weight_at + 1u];
-                let w2 = weight[weight_at + 2u];
-                let w3 = weight[weight_at + 3u];
-                a0 = fma(vec4<f32>(a), w0, a0);
-                a1 = fma(vec4<f32>(a), w1, a1);
-                a2 = fma(vec4<f32>(a), w2, a2);
-                a3 = fma(vec4<f32>(a), w3, a3);
-                b0 = fma(vec4<f32>(b), w0, b0);
-                b1 = fma(vec4<f32>(b), w1, b1);
-                b2 = fma(vec4<f32>(b), w2, b2);
-                b3 = fma(vec4<f32>(b), w3, b3);
-                at_a += in_area;
-                at_b += in_area;
+                let n = load(tap_near, offset);
+                let f = load(tap_far, offset);
+                let u = weight[weight_at];
+                let v = weight[weight_at + 1u];
+                n0 = fma(n, vec4<f32>(u.x), n0);
+                f0 = fma(f, vec4<f32>(u.x), f0);
+                n1 = fma(n, vec4<f32>(u.y), n1);
+                f1 = fma(f, vec4<f32>(u.y), f1);
+                n2 = fma(n, vec4<f32>(u.z), n2);
+                f2 = fma(f, vec4<f32>(u.z), f2);
+                n3 = fma(n, vec4<f32>(u.w), n3);
+                f3 = fma(f, vec4<f32>(u.w), f3);
+                n4 = fma(n, vec4<f32>(v.x), n4);
+                f4 = fma(f, vec4<f32>(v.x), f4);
+                n5 = fma(n, vec4<f32>(v.y), n5);
+                f5 = fma(f, vec4<f32>(v.y), f5);
+                n6 = fma(n, vec4<f32>(v.z), n6);
+                f6 = fma(f, vec4<f32>(v.z), f6);
+                n7 = fma(n, vec4<f32>(v.w), n7);
+                f7 = fma(f, vec4<f32>(v.w), f7);
+                offset += in_area;
                 weight_at += weight_stride;
             }
-            total_a[0] += a0;
-            total_a[1] += a1;
-            total_a[2] += a2;
-            total_a[3] += a3;
-            total_b[0] += b0;
-            total_b[1] += b1;
-            total_b[2] += b2;
-            total_b[3] += b3;
         }
     }
-    for (var i = 0u; i < 4u; i++) {
-        store(first, channel + 4u * i, total_a[i]);
-        store(second, channel + 4u * i, total_b[i]);
+    var near_sums = array(n0, n1, n2, n3, n4, n5, n6, n7);
+    var far_sums = array(f0, f1, f2, f3, f4, f5, f6, f7);
+    for (var c = 0u; c < 8u; c++) {
+        store(near, channel + c, near_sums[c]);
+        store(far, channel + c, far_sums[c]);
     }
 }

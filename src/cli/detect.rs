@@ -1,0 +1,255 @@
+//! `smr-gpu detect`: finds the snaps in pictures, prints and draws them.
+
+use std::collections::HashMap;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use image::DynamicImage;
+use serde::Serialize;
+use smr_gpu::{Detections, GpuDetector};
+
+use super::detector::{self, DetectorArgs, fraction};
+use super::draw::{Artist, Gallery};
+use super::exit::{Exit, Failure, exit_of};
+use super::output::{json_line, line, tell};
+use super::source::{Source, expand};
+use super::{picture, tensors};
+
+/// Find the snaps in pictures
+///
+/// Prints a line a snap, or with --json an object a picture. A picture that cannot be read is named
+/// on stderr; the others still go through.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Pictures (PNG, JPEG, BMP, TIFF), folders of pictures, patterns such as 'in/*.png', or `-`
+    /// for one picture on stdin.
+    #[arg(required = true, value_name = "SOURCE")]
+    sources: Vec<PathBuf>,
+
+    /// Print one JSON object a line for each picture.
+    #[arg(long)]
+    json: bool,
+
+    /// Write each picture with its boxes, names and scores drawn into this folder, as PNG.
+    #[arg(long, value_name = "DIR")]
+    save: Option<PathBuf>,
+
+    /// Show detections with a score above this (0 to 1).
+    #[arg(long, default_value_t = 0.5, value_name = "SCORE", value_parser = fraction)]
+    conf: f32,
+
+    /// Show at most so many detections a picture (1 to 100).
+    #[arg(long, default_value_t = 100, value_name = "N")]
+    #[arg(value_parser = clap::value_parser!(u8).range(1..=100))]
+    max_det: u8,
+
+    /// Look for this class alone; may be given several times.
+    #[arg(long = "class", value_name = "NAME")]
+    classes: Vec<String>,
+
+    /// Write every stage's tensor, under the PyTorch model's names; for one picture.
+    #[arg(long, value_name = "FILE.safetensors")]
+    dump_stages: Option<PathBuf>,
+
+    #[command(flatten)]
+    detector: DetectorArgs,
+}
+
+/// One picture's results, as `--json` prints them.
+#[derive(Serialize)]
+struct Record<'a> {
+    file: String,
+    width: u32,
+    height: u32,
+    detections: Vec<Snap<'a>>,
+    timings_ms: Timings<'a>,
+    adapter: &'a str,
+}
+
+#[derive(Serialize)]
+struct Snap<'a> {
+    class: &'a str,
+    score: f32,
+    #[serde(rename = "box")]
+    bbox: [f32; 4],
+    center_mm: [f32; 2],
+}
+
+#[derive(Serialize)]
+struct Timings<'a> {
+    stages: Vec<StageMs<'a>>,
+    total: f64,
+}
+
+#[derive(Serialize)]
+struct StageMs<'a> {
+    stage: &'a str,
+    ms: f64,
+}
+
+pub(super) fn run(args: Args) -> Result<Exit, Failure> {
+    let mut exit = Exit::Done;
+    let mut sources = Vec::new();
+    for argument in &args.sources {
+        match expand(argument) {
+            Ok(found) => sources.extend(found),
+            Err(message) => {
+                tell(message);
+                exit = Exit::Inputs;
+            }
+        }
+    }
+    if sources.iter().filter(|s| **s == Source::Stdin).count() > 1 {
+        return Err(Failure::usage("`-`: expected once, got it several times"));
+    }
+    if args.dump_stages.is_some() && sources.len() != 1 {
+        let got = sources.len();
+        return Err(Failure::usage(format!("--dump-stages: expected one picture, got {got}")));
+    }
+    if sources.is_empty() {
+        return Ok(exit);
+    }
+    let mut config = args.detector.config()?;
+    config.score = args.conf;
+    config.max_detections = args.max_det.into();
+    config.classes = args.classes.clone();
+    config.keep_stages = args.dump_stages.is_some();
+    let detector = detector::open(config)?;
+    let mut gallery = match &args.save {
+        Some(folder) => Some(Gallery::create(folder, &sources)?),
+        None => None,
+    };
+    let artist = Artist::new(&detector.model().classes);
+    let table = Table::new(&sources);
+    if !args.json {
+        table.heading()?;
+    }
+    let (mut pictures, mut snaps, start) = (0, 0, Instant::now());
+    for source in &sources {
+        let picture = match picture::read(source) {
+            Ok(picture) => picture,
+            Err(message) => {
+                tell(format!("{source}: {message}"));
+                exit = Exit::Inputs;
+                continue;
+            }
+        };
+        let found = match look(&detector, source, &picture, &args) {
+            Ok(found) => found,
+            Err(Failure { exit: Exit::Inputs, message }) => {
+                message.into_iter().for_each(tell);
+                exit = Exit::Inputs;
+                continue;
+            }
+            Err(failure) => return Err(failure),
+        };
+        match args.json {
+            true => json_line(&record(source, &found, detector.adapter()))?,
+            false => table.picture(source, &found)?,
+        }
+        if let Some(gallery) = &mut gallery {
+            gallery.save(source, &artist.draw(&picture, &found.detections))?;
+        }
+        pictures += 1;
+        snaps += found.detections.len();
+    }
+    if !args.json {
+        let seconds = start.elapsed().as_secs_f64();
+        tell(format!(
+            "{} in {} on {}, {seconds:.2} s",
+            count(snaps, "snap"),
+            count(pictures, "picture"),
+            detector.adapter()
+        ));
+    }
+    Ok(exit)
+}
+
+/// Looks at one picture, and writes the stages if that was asked for.
+fn look(
+    detector: &GpuDetector,
+    source: &Source,
+    picture: &DynamicImage,
+    args: &Args,
+) -> Result<Detections, Failure> {
+    let named = |e: smr_gpu::Error| Failure::new(exit_of(&e), format!("{source}: {e}"));
+    let Some(file) = &args.dump_stages else {
+        return detector.detect(picture).map_err(named);
+    };
+    let (found, stages) = detector.detect_with_stages(picture).map_err(named)?;
+    let config = serde_json::to_string(detector.model())
+        .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", file.display())))?;
+    let metadata = HashMap::from([
+        ("picture".to_owned(), source.to_string()),
+        ("adapter".to_owned(), detector.adapter().to_owned()),
+        ("config".to_owned(), config),
+    ]);
+    tensors::write(file, stages.iter().map(|(name, value)| (name.as_str(), value)), metadata)?;
+    Ok(found)
+}
+
+fn record<'a>(source: &Source, found: &'a Detections, adapter: &'a str) -> Record<'a> {
+    let snap = |d: &'a smr_gpu::Detection| Snap {
+        class: &d.class,
+        score: d.score,
+        bbox: d.bbox,
+        center_mm: d.center_mm,
+    };
+    let stages = found.stages.iter().map(|s| StageMs { stage: &s.stage, ms: ms(s.time) }).collect();
+    Record {
+        file: source.to_string(),
+        width: found.width,
+        height: found.height,
+        detections: found.detections.iter().map(snap).collect(),
+        timings_ms: Timings { stages, total: ms(found.wall) },
+        adapter,
+    }
+}
+
+fn ms(time: Duration) -> f64 {
+    time.as_secs_f64() * 1e3
+}
+
+fn count(n: usize, noun: &str) -> String {
+    format!("{n} {noun}{}", if n == 1 { "" } else { "s" })
+}
+
+/// The table for people: a line a snap, or one for a picture without.
+struct Table {
+    file_width: usize,
+}
+
+impl Table {
+    fn new(sources: &[Source]) -> Self {
+        let longest = sources.iter().map(|s| s.to_string().chars().count()).max();
+        Self { file_width: longest.unwrap_or(0).clamp(4, 48) }
+    }
+
+    fn heading(&self) -> Result<(), Failure> {
+        let [x1, y1, x2, y2] = ["x1", "y1", "x2", "y2"];
+        line(format!(
+            "{:w$}  class  score  {x1:>7} {y1:>7} {x2:>7} {y2:>7} px  {:>7} {:>7} mm",
+            "file",
+            "x",
+            "y",
+            w = self.file_width
+        ))
+    }
+
+    fn picture(&self, source: &Source, found: &Detections) -> Result<(), Failure> {
+        let file = source.to_string();
+        let w = self.file_width;
+        if found.detections.is_empty() {
+            return line(format!("{file:w$}  no snaps"));
+        }
+        for d in &found.detections {
+            let [x1, y1, x2, y2] = d.bbox;
+            let [x, y] = d.center_mm;
+            line(format!(
+                "{file:w$}  {:<5}  {:.3}  {x1:7.1} {y1:7.1} {x2:7.1} {y2:7.1}     {x:7.2} {y:7.2}",
+                d.class, d.score
+            ))?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,129 @@
+//! Options that several commands share, and opening what they ask for.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions};
+use smr_gpu::{Config, Device, Error, GpuDetector};
+
+use super::exit::{Exit, Failure};
+use super::output::tell;
+
+/// The weight file, relative to the folders in which it is looked for.
+const WEIGHTS: &str = "weights/smrnet.safetensors";
+/// Names a weight file where `--weights` does not.
+const WEIGHTS_VARIABLE: &str = "SMR_GPU_WEIGHTS";
+
+/// What runs a command.
+#[derive(Debug, clap::Args)]
+pub(super) struct DeviceArgs {
+    /// The adapter: its index in `smr-gpu devices`, part of its name, `auto` for the fastest kind,
+    /// or `cpu` for the f64 reference.
+    #[arg(long, default_value = "auto", value_name = "auto|cpu|INDEX|NAME")]
+    pub device: Device,
+}
+
+/// Which network finds snaps, and where it runs.
+#[derive(Debug, clap::Args)]
+pub(super) struct DetectorArgs {
+    /// Weight file [default: $SMR_GPU_WEIGHTS, else weights/smrnet.safetensors in this folder, else
+    /// beside the program].
+    #[arg(long, value_name = "FILE")]
+    weights: Option<PathBuf>,
+
+    /// Of two boxes of a class that overlap by more than this (intersection over union, 0 to 1),
+    /// the one with the lower score goes.
+    #[arg(long, default_value_t = 0.5, value_name = "IOU", value_parser = fraction)]
+    iou: f32,
+
+    #[command(flatten)]
+    device: DeviceArgs,
+}
+
+/// Parses a number from 0 to 1.
+///
+/// # Errors
+/// In words, also for NaN.
+pub(super) fn fraction(text: &str) -> Result<f32, String> {
+    let expected = || "expected a number from 0 to 1".to_owned();
+    let value: f32 = text.parse().map_err(|_| expected())?;
+    // A NaN is in no range.
+    if (0.0..=1.0).contains(&value) { Ok(value) } else { Err(expected()) }
+}
+
+impl DetectorArgs {
+    /// The library's configuration for these options.
+    ///
+    /// # Errors
+    /// [`Exit::Weights`] if there is no weight file.
+    pub fn config(&self) -> Result<Config, Failure> {
+        let mut config = Config::new(weight_file(self.weights.as_deref())?);
+        config.iou = self.iou;
+        config.device = self.device.device.clone();
+        Ok(config)
+    }
+}
+
+/// Builds a detector. Where any adapter would do and there is none, says so and takes the CPU.
+///
+/// # Errors
+/// What the library returns.
+pub(super) fn open(mut config: Config) -> Result<GpuDetector, Failure> {
+    match GpuDetector::new(config.clone()) {
+        Err(Error::NoAdapter { found, .. }) if config.device == Device::default() => {
+            tell_no_adapter(&found);
+            config.device = Device::Cpu;
+            Ok(GpuDetector::new(config)?)
+        }
+        other => Ok(other?),
+    }
+}
+
+/// Opens a GPU for `device`; `None` stands for the CPU, as in [`open`].
+///
+/// # Errors
+/// What the library returns.
+pub(super) fn open_gpu(device: &Device) -> Result<Option<Arc<Gpu>>, Failure> {
+    let Device::Gpu(choice) = device else { return Ok(None) };
+    let options = GpuOptions { adapter: choice.clone(), ..GpuOptions::default() };
+    match pollster::block_on(Gpu::open(options)) {
+        Err(Error::NoAdapter { found, .. }) if *choice == AdapterChoice::Auto => {
+            tell_no_adapter(&found);
+            Ok(None)
+        }
+        other => Ok(Some(other?)),
+    }
+}
+
+fn tell_no_adapter(found: &str) {
+    tell(format!(
+        "no GPU adapter ({found}); the package `mesa-vulkan-drivers` brings one; going on with the \
+         CPU reference"
+    ));
+}
+
+fn weight_file(given: Option<&Path>) -> Result<PathBuf, Failure> {
+    if let Some(path) = given {
+        return Ok(path.into());
+    }
+    if let Some(path) = std::env::var_os(WEIGHTS_VARIABLE) {
+        return Ok(path.into());
+    }
+    let program = std::env::current_exe().unwrap_or_default();
+    // The third folder up from target/release/smr-gpu is the checkout.
+    let folders = program.ancestors().skip(1).take(3);
+    let found = std::iter::once(Path::new("")).chain(folders).map(|f| f.join(WEIGHTS));
+    let found: Vec<PathBuf> = found.collect();
+    match found.iter().find(|path| path.is_file()) {
+        Some(path) => Ok(path.clone()),
+        None => {
+            let tried: Vec<String> = found.iter().map(|p| p.display().to_string()).collect();
+            let message = format!(
+                "weights: expected a file from --weights or {WEIGHTS_VARIABLE}, or one of {}; got \
+                 none",
+                tried.join(", ")
+            );
+            Err(Failure::new(Exit::Weights, message))
+        }
+    }
+}

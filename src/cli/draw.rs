@@ -1,0 +1,231 @@
+//! Pictures with boxes, names and scores drawn in, and the folder they go to.
+
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+
+use ab_glyph::FontRef;
+use image::{DynamicImage, Rgb, RgbImage};
+use imageproc::drawing::{draw_filled_rect_mut, draw_text_mut, text_size};
+use imageproc::rect::Rect;
+use smr_gpu::Detection;
+
+use super::exit::Failure;
+use super::output::cannot_write;
+use super::source::Source;
+
+const FONT: &[u8] = include_bytes!("../../assets/font/DejaVuSans-Bold.ttf");
+
+/// A colour a class, from Okabe and Ito's palette: they differ for colour-blind eyes too, and all
+/// are light enough for black letters.
+const COLOURS: [Rgb<u8>; 5] = [
+    Rgb([230, 159, 0]),
+    Rgb([86, 180, 233]),
+    Rgb([0, 158, 115]),
+    Rgb([240, 228, 66]),
+    Rgb([204, 121, 167]),
+];
+const BLACK: Rgb<u8> = Rgb([0, 0, 0]);
+
+/// Draws detections.
+pub(super) struct Artist<'a> {
+    font: FontRef<'static>,
+    classes: &'a [String],
+}
+
+impl<'a> Artist<'a> {
+    /// An artist that gives each of `classes` its colour.
+    pub fn new(classes: &'a [String]) -> Self {
+        let font = FontRef::try_from_slice(FONT).expect("the font in the program is whole");
+        Self { font, classes }
+    }
+
+    /// The picture with the detections in it, the best on top.
+    pub fn draw(&self, picture: &DynamicImage, detections: &[Detection]) -> RgbImage {
+        let mut canvas = picture.to_rgb8();
+        let side = canvas.width().min(canvas.height());
+        // 3 px lines and 24 px letters in the sensor's 1000 px.
+        let line = (side / 330).max(1) as i32;
+        let letters = (side as f32 / 42.0).max(9.0);
+        for detection in detections.iter().rev() {
+            let class = self.classes.iter().position(|c| *c == detection.class).unwrap_or(0);
+            let colour = COLOURS[class % COLOURS.len()];
+            let corners = detection.bbox.map(|v| v.round() as i32);
+            // A dark rim keeps the line apart from a bright ground.
+            frame(&mut canvas, corners, line + (line + 1) / 2, BLACK);
+            frame(&mut canvas, corners, line, colour);
+            self.label(&mut canvas, detection, corners, letters, colour);
+        }
+        canvas
+    }
+
+    /// Name and score on a filled ground: above the box, or wherever next to it lies in the picture.
+    fn label(
+        &self,
+        canvas: &mut RgbImage,
+        detection: &Detection,
+        [x1, y1, _, y2]: [i32; 4],
+        letters: f32,
+        colour: Rgb<u8>,
+    ) {
+        let text = format!("{} {:.2}", detection.class, detection.score);
+        let (width, height) = text_size(letters, &self.font, &text);
+        let pad = (letters / 5.0).ceil() as i32;
+        let (width, height) = (width as i32 + 2 * pad, height as i32 + 2 * pad);
+        let (most_x, most_y) = (canvas.width() as i32 - width, canvas.height() as i32 - height);
+        let above = y1 - height;
+        let y = if above >= 0 {
+            above
+        } else if y2 <= most_y {
+            y2
+        } else {
+            y1
+        };
+        let (x, y) = (x1.min(most_x).max(0), y.min(most_y).max(0));
+        fill(canvas, x, y, width, height, colour);
+        draw_text_mut(canvas, BLACK, x + pad, y + pad, letters, &self.font, &text);
+    }
+}
+
+/// Draws the border of a box, `thick` pixels inwards and outwards together, centred on its edge.
+fn frame(canvas: &mut RgbImage, [x1, y1, x2, y2]: [i32; 4], thick: i32, colour: Rgb<u8>) {
+    let (out, wide, high) = (thick / 2, x2 - x1 + thick, y2 - y1 + thick);
+    fill(canvas, x1 - out, y1 - out, wide, thick, colour);
+    fill(canvas, x1 - out, y2 - out, wide, thick, colour);
+    fill(canvas, x1 - out, y1 - out, thick, high, colour);
+    fill(canvas, x2 - out, y1 - out, thick, high, colour);
+}
+
+/// Fills a rectangle, as far as it lies in the picture.
+fn fill(canvas: &mut RgbImage, x: i32, y: i32, width: i32, height: i32, colour: Rgb<u8>) {
+    if width > 0 && height > 0 {
+        let rect = Rect::at(x, y).of_size(width as u32, height as u32);
+        draw_filled_rect_mut(canvas, rect, colour);
+    }
+}
+
+/// The folder of `--save`.
+pub(super) struct Gallery {
+    folder: PathBuf,
+    /// Files that must stay: those written, and the pictures themselves.
+    taken: HashSet<PathBuf>,
+}
+
+impl Gallery {
+    /// Creates the folder, in which no picture of `sources` will be overwritten.
+    ///
+    /// # Errors
+    /// `Exit::Output`.
+    pub fn create(folder: &Path, sources: &[Source]) -> Result<Self, Failure> {
+        std::fs::create_dir_all(folder).map_err(|e| cannot_write(folder, e))?;
+        let folder = folder.canonicalize().map_err(|e| cannot_write(folder, e))?;
+        let taken = sources.iter().filter_map(|s| match s {
+            Source::File(path) => path.canonicalize().ok(),
+            Source::Stdin => None,
+        });
+        let taken = taken.collect();
+        Ok(Self { folder, taken })
+    }
+
+    /// Writes a drawn picture under its source's name as PNG, with a number where that name is
+    /// taken.
+    ///
+    /// # Errors
+    /// `Exit::Output`.
+    pub fn save(&mut self, source: &Source, picture: &RgbImage) -> Result<(), Failure> {
+        let stem = match source {
+            Source::File(path) => path.file_stem().map(|s| s.to_string_lossy().into_owned()),
+            Source::Stdin => Some("stdin".into()),
+        };
+        let path = self.free_name(&stem.unwrap_or_else(|| "picture".into()));
+        picture.save(&path).map_err(|e| cannot_write(&path, e))
+    }
+
+    fn free_name(&mut self, stem: &str) -> PathBuf {
+        let mut number = 1;
+        loop {
+            let name = match number {
+                1 => format!("{stem}.png"),
+                n => format!("{stem}-{n}.png"),
+            };
+            let path = self.folder.join(name);
+            if self.taken.insert(path.clone()) {
+                return path;
+            }
+            number += 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn detection(bbox: [f32; 4]) -> Detection {
+        Detection { class: "B".into(), score: 0.987, bbox, center_mm: [0.0; 2] }
+    }
+
+    /// The coloured pixels' bounding box: columns and rows, ends included.
+    fn extent(picture: &RgbImage, colour: Rgb<u8>) -> Option<[u32; 4]> {
+        let mut found: Option<[u32; 4]> = None;
+        for (x, y, pixel) in picture.enumerate_pixels() {
+            if *pixel == colour {
+                let f = found.get_or_insert([x, y, x, y]);
+                *f = [f[0].min(x), f[1].min(y), f[2].max(x), f[3].max(y)];
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn boxes_wear_their_class_colour_and_nothing_else_changes() {
+        let classes = ["A".to_owned(), "B".to_owned()];
+        let artist = Artist::new(&classes);
+        let ground = DynamicImage::ImageRgb8(RgbImage::from_pixel(400, 400, Rgb([90, 91, 92])));
+        assert_eq!(artist.draw(&ground, &[]), ground.to_rgb8());
+        let drawn = artist.draw(&ground, &[detection([100.0, 120.0, 300.0, 320.0])]);
+        // 400 / 330 rounds down to a line of one pixel on the edges; the label is above the box.
+        let [x1, y1, x2, y2] = extent(&drawn, COLOURS[1]).expect("B's colour");
+        assert_eq!([x1, x2, y2], [100, 300, 320]);
+        assert!(y1 < 120, "no label above the box");
+        assert_eq!(*drawn.get_pixel(200, 320), COLOURS[1]);
+        assert_eq!(*drawn.get_pixel(200, 220), Rgb([90, 91, 92]));
+        assert_eq!(extent(&drawn, COLOURS[0]), None);
+    }
+
+    #[test]
+    fn labels_stay_in_the_picture_at_every_edge() {
+        let classes = ["A".to_owned(), "B".to_owned()];
+        let artist = Artist::new(&classes);
+        let ground = DynamicImage::ImageRgb8(RgbImage::new(300, 300));
+        let whole = artist.draw(&ground, &[detection([100.0, 100.0, 200.0, 200.0])]);
+        let letters = whole.pixels().filter(|p| **p == COLOURS[1]).count();
+        for bbox in [[0.0, 0.0, 100.0, 100.0], [200.0, 0.0, 300.0, 100.0], [0.0, 0.0, 300.0, 300.0]]
+        {
+            let drawn = artist.draw(&ground, &[detection(bbox)]);
+            let edge = 2.0 * (bbox[2] - bbox[0] + bbox[3] - bbox[1]);
+            let shown = drawn.pixels().filter(|p| **p == COLOURS[1]).count();
+            // The label's ground is as large as in the middle, but for the frame's pixels.
+            assert!(shown as f32 + edge + 8.0 > letters as f32, "{bbox:?}: {shown} of {letters}");
+        }
+        // Pictures smaller than any label do not stop it.
+        for (w, h) in [(1, 1), (1, 200), (200, 1)] {
+            let tiny = DynamicImage::ImageRgb8(RgbImage::new(w, h));
+            let drawn = artist.draw(&tiny, &[detection([0.0, 0.0, w as f32, h as f32])]);
+            assert_eq!(drawn.dimensions(), (w, h));
+        }
+    }
+
+    #[test]
+    fn names_are_unique_and_spare_the_pictures() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let original = folder.path().join("x.png");
+        std::fs::write(&original, "mine").expect("written");
+        let sources = [Source::File(original.clone()), Source::File("other/x.jpg".into())];
+        let mut gallery = Gallery::create(folder.path(), &sources).expect("created");
+        for source in &sources {
+            gallery.save(source, &RgbImage::new(1, 1)).expect("saved");
+        }
+        assert_eq!(std::fs::read(&original).expect("kept"), b"mine");
+        assert!(folder.path().join("x-2.png").exists() && folder.path().join("x-3.png").exists());
+    }
+}

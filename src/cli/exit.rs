@@ -1,0 +1,66 @@
+//! Exit codes, and the failure that carries one.
+
+use std::fmt::Display;
+
+use smr_gpu::Error;
+
+/// Shown below `--help`.
+pub(super) const HELP: &str = "\
+Exit codes: 0 done, 1 some inputs failed, 2 usage, 3 weights, 4 no device, 5 device lost or timed \
+out, 6 output";
+
+/// How the program ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub(super) enum Exit {
+    /// All was done.
+    Done = 0,
+    /// Some inputs, or some checks, failed.
+    Inputs = 1,
+    /// The command line asks for something that does not exist. clap uses this code too.
+    Usage = 2,
+    /// The weights are missing or damaged.
+    Weights = 3,
+    /// No device as asked for.
+    Device = 4,
+    /// The device was lost, timed out or failed.
+    Lost = 5,
+    /// An output cannot be written.
+    Output = 6,
+}
+
+/// Why a command stops before its end.
+#[derive(Debug)]
+pub(super) struct Failure {
+    pub exit: Exit,
+    /// What to tell the user; `None` if nothing is left to say.
+    pub message: Option<String>,
+}
+
+impl Failure {
+    pub fn new(exit: Exit, message: impl Display) -> Self {
+        Self { exit, message: Some(message.to_string()) }
+    }
+
+    pub fn usage(message: impl Display) -> Self {
+        Self::new(Exit::Usage, message)
+    }
+}
+
+impl From<Error> for Failure {
+    fn from(error: Error) -> Self {
+        Self::new(exit_of(&error), error)
+    }
+}
+
+/// The exit code that belongs to an error of the library.
+pub(super) fn exit_of(error: &Error) -> Exit {
+    match error {
+        Error::Param { .. } => Exit::Usage,
+        Error::Weights { .. } => Exit::Weights,
+        Error::NoAdapter { .. } | Error::Device { .. } | Error::Shader { .. } => Exit::Device,
+        Error::DeviceLost(_) | Error::Timeout { .. } | Error::Driver { .. } => Exit::Lost,
+        // A tensor or a picture that does not fit; the library may add kinds.
+        _ => Exit::Inputs,
+    }
+}

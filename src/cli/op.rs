@@ -1,0 +1,102 @@
+//! `smr-gpu op`: runs one operation on tensors from a file.
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::PathBuf;
+
+use smr_gpu::Device;
+use smr_gpu::ops::{self, Op, Params, case};
+use smr_gpu::tensor::Value;
+
+use super::detector::{DeviceArgs, open_gpu};
+use super::exit::{Exit, Failure};
+use super::output::line;
+use super::tensors;
+
+/// Run one operation on tensors from a file
+///
+/// The file names the tensors as the operation names its inputs. What an operation leaves behind a
+/// count that it computes, such as that of the kept boxes, has no meaning.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The operation's name.
+    #[arg(required_unless_present = "list")]
+    name: Option<String>,
+
+    /// The inputs: F16, F32, U32, I32 or I64.
+    #[arg(required_unless_present = "list", value_name = "IN.safetensors")]
+    input: Option<PathBuf>,
+
+    /// Where to write the outputs, as F32 and U32.
+    #[arg(required_unless_present = "list", value_name = "OUT.safetensors")]
+    output: Option<PathBuf>,
+
+    /// A parameter of the operation; may be given several times.
+    #[arg(long = "param", value_name = "KEY=VALUE", value_parser = key_value)]
+    params: Vec<(String, String)>,
+
+    /// List the operations.
+    #[arg(long, exclusive = true)]
+    list: bool,
+
+    #[command(flatten)]
+    device: DeviceArgs,
+}
+
+fn key_value(text: &str) -> Result<(String, String), String> {
+    match text.split_once('=') {
+        Some((key, value)) if !key.is_empty() => Ok((key.into(), value.into())),
+        _ => Err("expected KEY=VALUE".into()),
+    }
+}
+
+pub(super) fn run(args: Args) -> Result<Exit, Failure> {
+    let (Some(name), Some(input), Some(output)) = (&args.name, &args.input, &args.output) else {
+        for entry in ops::OPS {
+            line(entry.name)?;
+        }
+        return Ok(Exit::Done);
+    };
+    let Some(entry) = ops::find(name) else {
+        let known: Vec<_> = ops::OPS.iter().map(|e| e.name).collect();
+        let known = known.join(", ");
+        return Err(Failure::usage(format!("operation: expected one of {known}; got `{name}`")));
+    };
+    let params: BTreeMap<_, _> = args.params.iter().cloned().collect();
+    if params.len() < args.params.len() {
+        return Err(Failure::usage("--param: expected each key once, got one several times"));
+    }
+    let mut tensors = tensors::read(input)?;
+    let present: Vec<&str> = tensors.keys().map(String::as_str).collect();
+    let mut params = Params::new(name, params);
+    let op = (entry.build)(&mut params, &present)?;
+    params.finish()?;
+    let inputs = take_inputs(op.as_ref(), &mut tensors)
+        .map_err(|e| Failure::new(Exit::Inputs, format!("{}: {e}", input.display())))?;
+    let outputs = compute(op.as_ref(), &inputs, &args.device.device)?;
+    let named = op.outputs().into_iter().zip(&outputs);
+    tensors::write(output, named, HashMap::new())?;
+    Ok(Exit::Done)
+}
+
+/// The operation's inputs in its order; every tensor of the file must be one.
+fn take_inputs(op: &dyn Op, tensors: &mut BTreeMap<String, Value>) -> Result<Vec<Value>, String> {
+    let names = op.inputs();
+    let expected = || format!("{} takes {}", op.name(), names.join(", "));
+    let inputs: Result<_, _> = names
+        .iter()
+        .map(|n| tensors.remove(*n).ok_or_else(|| format!("no tensor `{n}`; {}", expected())))
+        .collect();
+    match tensors.keys().next() {
+        Some(extra) => Err(format!("tensor `{extra}` is no input; {}", expected())),
+        None => inputs,
+    }
+}
+
+fn compute(op: &dyn Op, inputs: &[Value], device: &Device) -> Result<Vec<Value>, Failure> {
+    let specs: Vec<_> = inputs.iter().map(Value::spec).collect();
+    op.infer(&specs)?;
+    Ok(match open_gpu(device)? {
+        Some(gpu) => case::run_op(&gpu, op, inputs, false)?,
+        None => op.reference(&inputs.iter().collect::<Vec<_>>())?,
+    })
+}

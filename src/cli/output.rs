@@ -1,0 +1,42 @@
+//! Writing: data to stdout, messages to stderr, files to folders.
+
+use std::fmt::Display;
+use std::io::{ErrorKind, Write};
+use std::path::Path;
+
+use serde::Serialize;
+
+use super::exit::{Exit, Failure};
+
+/// Tells the user something on stderr.
+pub(super) fn tell(message: impl Display) {
+    // If stderr is gone, nobody is left to be told.
+    let _ = writeln!(std::io::stderr(), "smr-gpu: {message}");
+}
+
+/// Writes a line to stdout.
+///
+/// # Errors
+/// [`Exit::Output`]; a reader that went away, as `head` does, ends the program quietly.
+pub(super) fn line(text: impl Display) -> Result<(), Failure> {
+    let mut stdout = std::io::stdout().lock();
+    writeln!(stdout, "{text}").and_then(|()| stdout.flush()).map_err(|e| match e.kind() {
+        ErrorKind::BrokenPipe => Failure { exit: Exit::Done, message: None },
+        _ => Failure::new(Exit::Output, format!("stdout: {e}")),
+    })
+}
+
+/// Writes a JSON value as one line to stdout.
+///
+/// # Errors
+/// As [`line`].
+pub(super) fn json_line(value: &impl Serialize) -> Result<(), Failure> {
+    let text = serde_json::to_string(value)
+        .map_err(|e| Failure::new(Exit::Output, format!("stdout: {e}")))?;
+    line(text)
+}
+
+/// A failure to write `path`.
+pub(super) fn cannot_write(path: &Path, error: impl Display) -> Failure {
+    Failure::new(Exit::Output, format!("{}: cannot write: {error}", path.display()))
+}

@@ -82,13 +82,14 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
 fn take_inputs(op: &dyn Op, tensors: &mut BTreeMap<String, Value>) -> Result<Vec<Value>, String> {
     let names = op.inputs();
     let expected = || format!("{} takes {}", op.name(), names.join(", "));
-    let inputs: Result<_, _> = names
-        .iter()
-        .map(|n| tensors.remove(*n).ok_or_else(|| format!("no tensor `{n}`; {}", expected())))
-        .collect();
+    let mut inputs = Vec::with_capacity(names.len());
+    for name in &names {
+        let tensor = tensors.remove(*name);
+        inputs.push(tensor.ok_or_else(|| format!("no tensor `{name}`; {}", expected()))?);
+    }
     match tensors.keys().next() {
         Some(extra) => Err(format!("tensor `{extra}` is no input; {}", expected())),
-        None => inputs,
+        None => Ok(inputs),
     }
 }
 

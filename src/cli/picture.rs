@@ -51,3 +51,57 @@ fn decode(reader: impl BufRead + Seek) -> Result<DynamicImage, String> {
     picture.apply_orientation(orientation);
     Ok(picture)
 }
+
+#[cfg(test)]
+mod tests {
+    use image::Rgb;
+
+    use super::*;
+
+    fn stored(name: &str) -> DynamicImage {
+        let file = format!("{}/tests/pictures/{name}", env!("CARGO_MANIFEST_DIR"));
+        read(&Source::File(file.into())).expect("a picture")
+    }
+
+    /// Whether the pixel's channels are within JPEG's loss of the expected ones.
+    fn is_near(picture: &DynamicImage, x: u32, y: u32, expected: [u8; 3]) -> bool {
+        let Rgb(got) = *picture.to_rgb8().get_pixel(x, y);
+        got.iter().zip(expected).all(|(g, e)| g.abs_diff(e) < 24)
+    }
+
+    #[test]
+    fn cmyk_becomes_rgb() {
+        // Half magenta and yellow ink, half cyan ink: red beside cyan.
+        let picture = stored("cmyk.jpg");
+        assert_eq!((picture.width(), picture.height()), (32, 16));
+        assert!(is_near(&picture, 4, 8, [255, 0, 0]) && is_near(&picture, 28, 8, [0, 255, 255]));
+    }
+
+    #[test]
+    fn exif_orientation_is_applied() {
+        // Stored red beside blue, to be shown turned clockwise: red above blue.
+        let picture = stored("turned.jpg");
+        assert_eq!((picture.width(), picture.height()), (16, 32));
+        assert!(is_near(&picture, 8, 4, [255, 0, 0]) && is_near(&picture, 8, 28, [0, 0, 255]));
+    }
+
+    #[test]
+    fn huge_pictures_are_refused_by_their_header() {
+        // A BMP header alone: 60 000 × 60 000 in 24 bits.
+        let mut bytes = b"BM\0\0\0\0\0\0\0\0\x36\0\0\0\x28\0\0\0".to_vec();
+        bytes.extend(60_000_u32.to_le_bytes());
+        bytes.extend(60_000_u32.to_le_bytes());
+        bytes.extend([1, 0, 24, 0]);
+        bytes.resize(54, 0);
+        let error = decode(Cursor::new(bytes)).expect_err("too large");
+        assert_eq!(error, "expected at most 33554432 pixels, got 60000 × 60000");
+    }
+
+    #[test]
+    fn other_files_are_refused() {
+        for bytes in [b"".as_slice(), b"hello", b"GIF89a\x01\0\x01\0\0\0\0;"] {
+            let error = decode(Cursor::new(bytes)).expect_err("no picture");
+            assert!(error.starts_with("expected a PNG, JPEG, BMP or TIFF picture"), "{error}");
+        }
+    }
+}

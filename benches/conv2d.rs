@@ -1,0 +1,55 @@
+//! Convolutions of the network's shapes, on the adapter beside the CPU's f64 reference. The ratio of
+//! the two is the figure that carries from machine to machine.
+
+use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use smr_gpu::gpu::{Gpu, GpuOptions, Plan, PlanOptions, Recording, Role};
+use smr_gpu::ops::case::random;
+use smr_gpu::ops::{Conv2d, Op};
+use smr_gpu::tensor::Value;
+
+/// Name, channels in, channels out, kernel side, dilation, side of the map.
+const SHAPES: [(&str, usize, usize, usize, usize, usize); 3] = [
+    ("3x3 in conv2_x", 64, 64, 3, 1, 80),
+    ("3x3 dilated in MSFF-Net", 256, 256, 3, 2, 20),
+    ("1x1 in RW-Net", 256, 64, 1, 1, 40),
+];
+
+fn conv2d(criterion: &mut Criterion) {
+    let gpu = pollster::block_on(Gpu::open(GpuOptions::default())).expect("an adapter");
+    let mut group = criterion.benchmark_group("conv2d");
+    group.sample_size(10);
+    for (name, channels_in, channels_out, kernel, dilation, side) in SHAPES {
+        let op = Conv2d { padding: dilation * (kernel / 2), dilation, ..Conv2d::default() };
+        let inputs = [
+            Value::from(random(1, [channels_in, side, side])),
+            Value::from(random(2, [channels_out, channels_in, kernel, kernel])),
+            Value::from(random(3, [channels_out])),
+        ];
+        let multiplications = channels_in * channels_out * kernel * kernel * side * side;
+        group.throughput(Throughput::Elements(multiplications as u64));
+        let mut plan = plan(&gpu, &op, &inputs);
+        group.bench_function(BenchmarkId::new("shader", name), |b| {
+            b.iter(|| plan.run(&[]).expect("a run"));
+        });
+        let inputs: Vec<&Value> = inputs.iter().collect();
+        group.bench_function(BenchmarkId::new("reference", name), |b| {
+            b.iter(|| op.reference(&inputs).expect("a result"));
+        });
+    }
+}
+
+/// A plan of `op` alone, with its inputs on the device.
+fn plan(gpu: &std::sync::Arc<Gpu>, op: &Conv2d, inputs: &[Value]) -> Plan {
+    let mut recording = Recording::default();
+    recording.begin_stage("conv2d");
+    let named = inputs.iter().zip(op.inputs());
+    let ids: Vec<_> = named.map(|(v, n)| recording.constant(n, v.clone())).collect();
+    let specs: Vec<_> = inputs.iter().map(Value::spec).collect();
+    let out = op.infer(&specs).expect("shapes that fit").remove(0);
+    let output = recording.tensor("output", out, Role::Output);
+    op.record(&mut recording, &ids, &[output]).expect("a recording");
+    pollster::block_on(Plan::new(gpu, &recording, PlanOptions::default())).expect("a plan")
+}
+
+criterion_group!(benches, conv2d);
+criterion_main!(benches);

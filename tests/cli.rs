@@ -1,0 +1,451 @@
+//! The program from outside: exit codes, what goes to stdout and stderr, bad input.
+
+use std::collections::HashMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use image::{GrayAlphaImage, GrayImage, ImageBuffer, Luma, RgbImage};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde_json::Value;
+use tempfile::TempDir;
+
+const WEIGHTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors");
+const PICTURES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/pictures");
+
+/// What a run of the program left.
+struct Ran {
+    code: Option<i32>,
+    stdout: String,
+    stderr: String,
+}
+
+impl From<Output> for Ran {
+    fn from(output: Output) -> Self {
+        let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
+        Self {
+            code: output.status.code(),
+            stdout: text(output.stdout),
+            stderr: text(output.stderr),
+        }
+    }
+}
+
+impl Ran {
+    /// Its stdout as one JSON value a line.
+    fn json(&self) -> Vec<Value> {
+        let parse = |l| serde_json::from_str(l).unwrap_or_else(|e| panic!("{e}: {l}"));
+        self.stdout.lines().map(parse).collect()
+    }
+
+    #[track_caller]
+    fn expect(self, code: i32) -> Self {
+        assert_eq!(self.code, Some(code), "stdout:\n{}stderr:\n{}", self.stdout, self.stderr);
+        self
+    }
+
+    #[track_caller]
+    fn tells(self, phrase: &str) -> Self {
+        assert!(self.stderr.contains(phrase), "no `{phrase}` in:\n{}", self.stderr);
+        self
+    }
+}
+
+fn command(folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_smr-gpu"));
+    command.current_dir(folder).env("SMR_GPU_WEIGHTS", WEIGHTS).stdin(Stdio::null());
+    command
+}
+
+fn run(folder: &Path, arguments: &[&str]) -> Ran {
+    command(folder).args(arguments).output().expect("the program runs").into()
+}
+
+/// The same where the Vulkan loader finds no driver.
+fn run_without_adapter(folder: &Path, arguments: &[&str]) -> Ran {
+    let mut command = command(folder);
+    for variable in ["VK_ICD_FILENAMES", "VK_DRIVER_FILES"] {
+        command.env(variable, folder.join("no_icd.json"));
+    }
+    command.args(arguments).output().expect("the program runs").into()
+}
+
+fn folder() -> TempDir {
+    tempfile::tempdir().expect("a folder")
+}
+
+/// A picture of a smooth ramp, which no snap resembles.
+fn ramp(width: u32, height: u32) -> RgbImage {
+    RgbImage::from_fn(width, height, |x, y| image::Rgb([x, y, x / 2 + y / 2].map(|v| v as u8)))
+}
+
+fn write_tensors(file: &Path, tensors: &[(&str, Dtype, Vec<usize>, Vec<u8>)]) {
+    let views = tensors.iter().map(|(name, dtype, shape, bytes)| {
+        (*name, TensorView::new(*dtype, shape.clone(), bytes).expect("a tensor"))
+    });
+    let bytes = safetensors::serialize(views, None).expect("a file");
+    fs::write(file, bytes).expect("written");
+}
+
+fn f32_bytes(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
+#[test]
+fn wrong_command_lines_are_usage_errors() {
+    let folder = folder();
+    let cases: &[(&[&str], &str)] = &[
+        (&[], "Usage"),
+        (&["frobnicate"], "frobnicate"),
+        (&["detect"], "SOURCE"),
+        (&["detect", "x.png", "--conf", "1.5"], "expected a number from 0 to 1"),
+        (&["detect", "x.png", "--conf=-0.1"], "expected a number from 0 to 1"),
+        (&["detect", "x.png", "--conf", "NaN"], "expected a number from 0 to 1"),
+        (&["detect", "x.png", "--iou", "inf"], "expected a number from 0 to 1"),
+        (&["detect", "x.png", "--iou", "half"], "expected a number from 0 to 1"),
+        (&["detect", "x.png", "--max-det", "0"], "1..=100"),
+        (&["detect", "x.png", "--max-det", "101"], "1..=100"),
+        (&["detect", "x.png", "--class", "C"], "expected A, B, got `C`"),
+        (&["detect", "-", "-"], "expected once"),
+        (&["detect", "x.png", "y.png", "--dump-stages", "s"], "expected one picture, got 2"),
+        (&["eval"], "--data"),
+        (&["op", "conv2d", "in", "out", "--param", "stride"], "expected KEY=VALUE"),
+        (&["op", "conv2d", "in", "out", "--param", "a=1", "--param", "a=2"], "each key once"),
+        (&["op", "nope", "in", "out"], "got `nope`"),
+        (&["check", "nope"], "got `nope`"),
+        (&["check", "--device", "cpu"], "expected a GPU"),
+    ];
+    for (arguments, phrase) in cases {
+        let ran = run(folder.path(), arguments).expect(2).tells(phrase);
+        assert_eq!(ran.stdout, "", "{arguments:?}");
+    }
+    run(folder.path(), &["--help"]).expect(0);
+    run(folder.path(), &["--version"]).expect(0);
+}
+
+/// A copy of the weights after `change`, which sees every tensor's bytes by name.
+fn weights_with(
+    file: &Path,
+    change: impl FnOnce(&mut HashMap<String, (Dtype, Vec<usize>, Vec<u8>)>),
+) {
+    let bytes = fs::read(WEIGHTS).expect("the weights");
+    let (_, header) = SafeTensors::read_metadata(&bytes).expect("a header");
+    let parsed = SafeTensors::deserialize(&bytes).expect("tensors");
+    let mut tensors = parsed
+        .iter()
+        .map(|(n, v)| (n.to_owned(), (v.dtype(), v.shape().to_vec(), v.data().to_vec())))
+        .collect();
+    change(&mut tensors);
+    let views = tensors.iter().map(|(name, (dtype, shape, bytes))| {
+        (name.as_str(), TensorView::new(*dtype, shape.clone(), bytes).expect("a tensor"))
+    });
+    let bytes = safetensors::serialize(views, header.metadata().clone()).expect("a file");
+    fs::write(file, bytes).expect("written");
+}
+
+#[test]
+fn damaged_weights_are_named() {
+    let folder = folder();
+    ramp(64, 64).save(folder.path().join("x.png")).expect("saved");
+    let file = folder.path().join("w.safetensors");
+    let detect = |phrases: [&str; 2]| {
+        let arguments = ["detect", "x.png", "--weights", "w.safetensors"];
+        let mut ran = run(folder.path(), &arguments).expect(3).tells("w.safetensors");
+        for phrase in phrases {
+            ran = ran.tells(phrase);
+        }
+        assert_eq!(ran.stdout, "");
+    };
+    detect(["weights", "No such file"]);
+    fs::write(&file, "not tensors at all").expect("written");
+    detect(["weights", "not a whole safetensors file"]);
+    let whole = fs::read(WEIGHTS).expect("the weights");
+    fs::write(&file, &whole[..whole.len() / 2]).expect("written");
+    detect(["weights", "not a whole safetensors file"]);
+    write_tensors(&file, &[("x", Dtype::F32, vec![1], f32_bytes(&[1.0]))]);
+    detect(["metadata", "config"]);
+
+    let name = "roi_head.fc7.weight";
+    weights_with(&file, |t| drop(t.remove(name)));
+    detect([name, "got none"]);
+    weights_with(&file, |t| {
+        t.insert("spare".into(), (Dtype::F32, vec![1], f32_bytes(&[1.0])));
+    });
+    detect(["`spare`", "expected none"]);
+    weights_with(&file, |t| {
+        let shape = &mut t.get_mut(name).expect("the tensor").1;
+        *shape = vec![shape.iter().product()];
+    });
+    detect([name, "expected [512, 512]"]);
+    weights_with(&file, |t| {
+        let (dtype, _, bytes) = t.get_mut(name).expect("the tensor");
+        assert_eq!(*dtype, Dtype::F16);
+        bytes[20..22].copy_from_slice(&0x7e00_u16.to_le_bytes());
+    });
+    detect([name, "expected finite values, got NaN at 10"]);
+}
+
+#[test]
+fn weights_are_looked_for_where_the_readme_says() {
+    let folder = folder();
+    ramp(8, 8).save(folder.path().join("x.png")).expect("saved");
+    let missing = folder.path().join("missing.safetensors");
+    let output =
+        command(folder.path()).args(["detect", "x.png"]).env("SMR_GPU_WEIGHTS", &missing).output();
+    Ran::from(output.expect("the program runs")).expect(3).tells("missing.safetensors");
+    fs::create_dir(folder.path().join("weights")).expect("created");
+    fs::write(folder.path().join("weights/smrnet.safetensors"), "junk").expect("written");
+    let output =
+        command(folder.path()).args(["detect", "x.png"]).env_remove("SMR_GPU_WEIGHTS").output();
+    Ran::from(output.expect("the program runs")).expect(3).tells("weights/smrnet.safetensors");
+}
+
+#[test]
+fn missing_devices_are_named() {
+    let folder = folder();
+    ramp(8, 8).save(folder.path().join("x.png")).expect("saved");
+    run(folder.path(), &["detect", "x.png", "--device", "99"]).expect(4).tells("`99`");
+    run(folder.path(), &["check", "--device", "no such GPU"]).expect(4).tells("`no such GPU`");
+    let arguments = ["detect", "x.png", "--device", "0"];
+    run_without_adapter(folder.path(), &arguments).expect(4).tells("none was found");
+    run_without_adapter(folder.path(), &["check"]).expect(4).tells("none was found");
+    let ran = run_without_adapter(folder.path(), &["devices"]).expect(4);
+    assert_eq!(ran.tells("mesa-vulkan-drivers").stdout, "");
+}
+
+#[test]
+fn without_an_adapter_the_cpu_detects() {
+    let folder = folder();
+    ramp(40, 30).save(folder.path().join("x.png")).expect("saved");
+    let ran = run_without_adapter(folder.path(), &["detect", "x.png", "--json"]).expect(0);
+    let told: Vec<&str> = ran.stderr.lines().collect();
+    assert!(told.len() == 1 && told[0].contains("`mesa-vulkan-drivers`"), "{told:?}");
+    assert_eq!(ran.json()[0]["adapter"], "CPU reference (f64)");
+}
+
+/// Good and bad pictures of every sort, in one folder, and how each bad one is refused.
+fn pictures(folder: &Path) -> (Vec<&'static str>, Vec<(&'static str, &'static str)>) {
+    let save = |name: &str, picture: &image::DynamicImage| {
+        picture.save(folder.join(name)).expect("saved");
+    };
+    let rgb = ramp(160, 120);
+    save("rgb.png", &rgb.clone().into());
+    save("rgb.bmp", &rgb.clone().into());
+    save("grey.png", &GrayImage::from_fn(50, 70, |x, _| Luma([x as u8])).into());
+    save("grey_alpha.png", &GrayAlphaImage::new(33, 31).into());
+    let deep = ImageBuffer::from_fn(64, 64, |x, y| Luma([(x * y * 16) as u16]));
+    save("sixteen_bit.png", &image::DynamicImage::ImageLuma16(deep));
+    save("one_pixel.png", &ramp(1, 1).into());
+    save("tall.png", &ramp(1, 8192).into());
+    fs::copy(format!("{PICTURES}/cmyk.jpg"), folder.join("cmyk.jpg")).expect("copied");
+    fs::copy(format!("{PICTURES}/turned.jpg"), folder.join("turned.jpg")).expect("copied");
+    fs::copy(format!("{PICTURES}/palette.png"), folder.join("palette.png")).expect("copied");
+
+    let whole = fs::read(folder.join("rgb.png")).expect("the picture");
+    fs::write(folder.join("truncated.png"), &whole[..whole.len() / 2]).expect("written");
+    fs::write(folder.join("text.png"), "no picture").expect("written");
+    fs::write(folder.join("empty.png"), "").expect("written");
+    fs::copy(format!("{PICTURES}/huge.png"), folder.join("huge.png")).expect("copied");
+    let good = vec![
+        "cmyk.jpg", "grey.png", "grey_alpha.png", "one_pixel.png", "palette.png", "rgb.bmp",
+        "rgb.png", "sixteen_bit.png", "tall.png", "turned.jpg",
+    ];
+    let bad = vec![
+        ("empty.png", "expected a PNG, JPEG, BMP or TIFF picture"),
+        ("huge.png", "expected at most 33554432 pixels, got 60000 × 60000"),
+        ("text.png", "expected a PNG, JPEG, BMP or TIFF picture"),
+        ("truncated.png", "expected a whole Png picture"),
+    ];
+    (good, bad)
+}
+
+#[test]
+fn bad_pictures_are_named_and_good_ones_go_through() {
+    let folder = folder();
+    let (good, bad) = pictures(folder.path());
+    fs::create_dir(folder.path().join("none")).expect("created");
+    let arguments = ["detect", ".", "none", "*.gif", "gone.png", "--json", "--save", "drawn"];
+    let ran = run(folder.path(), &arguments).expect(1);
+
+    let told: Vec<&str> = ran.stderr.lines().collect();
+    assert_eq!(told.len(), bad.len() + 3, "{told:#?}");
+    for (file, phrase) in bad.iter().chain(&[
+        ("none", "expected a folder with pictures"),
+        ("*.gif", "matches none"),
+        ("gone.png", "No such file"),
+    ]) {
+        let line = told.iter().find(|l| l.contains(file));
+        let line = line.unwrap_or_else(|| panic!("{file} is not named: {told:#?}"));
+        assert!(line.contains(phrase), "{line}");
+    }
+
+    let records = ran.json();
+    let files: Vec<&str> = records.iter().map(|r| r["file"].as_str().expect("a name")).collect();
+    let expected: Vec<String> = good.iter().map(|g| format!("./{g}")).collect();
+    assert_eq!(files, expected);
+    for (record, file) in records.iter().zip(&good) {
+        let fields: Vec<&String> = record.as_object().expect("an object").keys().collect();
+        let all = ["adapter", "detections", "file", "height", "timings_ms", "width"];
+        assert_eq!(fields, all);
+        let [width, height] = ["width", "height"].map(|k| record[k].as_u64().expect("a size"));
+        let drawn = folder.path().join("drawn").join(drawn_name(file));
+        let size = image::image_dimensions(&drawn).expect("drawn");
+        assert_eq!(size, (width as u32, height as u32), "{file}");
+        assert!(record["timings_ms"]["total"].as_f64().expect("a time") > 0.0);
+        for detection in record["detections"].as_array().expect("a list") {
+            let score = detection["score"].as_f64().expect("a score");
+            assert!(score > 0.5 && score <= 1.0, "{detection}");
+        }
+    }
+    let upright = records.iter().find(|r| r["file"] == "./turned.jpg").expect("the picture");
+    assert_eq!((&upright["width"], &upright["height"]), (&16.into(), &32.into()));
+}
+
+/// `rgb.bmp` comes before `rgb.png`, so that one gets the number.
+fn drawn_name(file: &str) -> String {
+    match file {
+        "rgb.png" => "rgb-2.png".into(),
+        other => PathBuf::from(other).with_extension("png").display().to_string(),
+    }
+}
+
+#[test]
+fn stdin_is_a_picture_and_stages_are_dumped() {
+    let folder = folder();
+    let file = folder.path().join("x.png");
+    ramp(100, 100).save(&file).expect("saved");
+    let mut command = command(folder.path());
+    command.args(["detect", "-", "--json", "--dump-stages", "stages.safetensors"]);
+    command.stdin(fs::File::open(&file).expect("the picture"));
+    let ran = Ran::from(command.output().expect("the program runs")).expect(0);
+    assert_eq!(ran.json()[0]["file"], "-");
+    let bytes = fs::read(folder.path().join("stages.safetensors")).expect("the dump");
+    let (_, header) = SafeTensors::read_metadata(&bytes).expect("a header");
+    let metadata = header.metadata().clone().expect("metadata");
+    let config: Value = serde_json::from_str(&metadata["config"]).expect("JSON");
+    let side = config["input_size"].as_u64().expect("a size") as usize;
+    let stages = SafeTensors::deserialize(&bytes).expect("tensors");
+    let pixels = stages.tensor("pixels").expect("the network's input");
+    assert_eq!((pixels.dtype(), pixels.shape()), (Dtype::F32, [3, side, side].as_slice()));
+    let count = stages.tensor("detection_count").expect("the count");
+    let found = ran.json()[0]["detections"].as_array().expect("a list").len();
+    assert_eq!((count.dtype(), count.data()), (Dtype::U32, (found as u32).to_le_bytes().as_slice()));
+}
+
+#[test]
+fn devices_are_listed() {
+    let folder = folder();
+    let records = run(folder.path(), &["devices", "--json"]).expect(0).json();
+    assert_eq!(records[0]["index"], 0);
+    assert!(records[0]["limits"]["workgroup_memory_bytes"].as_u64() >= Some(16384));
+    let name = records[0]["name"].as_str().expect("a name");
+    assert!(run(folder.path(), &["devices"]).expect(0).stdout.contains(name));
+}
+
+#[test]
+fn one_operation_runs_on_tensors_from_a_file() {
+    let folder = folder();
+    let file = folder.path().join("in.safetensors");
+    let f32s = |shape: &[usize], values: &[f32]| (Dtype::F32, shape.to_vec(), f32_bytes(values));
+    let input = f32s(&[1, 2, 2], &[1.0, 2.0, 3.0, -4.0]);
+    let weight = f32s(&[1, 1, 1, 1], &[10.0]);
+    let bias = f32s(&[1], &[0.5]);
+    let write = |tensors: &[(&str, &(Dtype, Vec<usize>, Vec<u8>))]| {
+        let tensors: Vec<_> =
+            tensors.iter().map(|(n, (d, s, b))| (*n, *d, s.clone(), b.clone())).collect();
+        write_tensors(&file, &tensors);
+    };
+    let op = |extra: &[&str]| {
+        let arguments = [&["op", "conv2d", "in.safetensors", "out.safetensors"], extra].concat();
+        run(folder.path(), &arguments)
+    };
+
+    write(&[("input", &input), ("weight", &weight), ("bias", &bias)]);
+    for device in ["auto", "cpu"] {
+        op(&["--device", device, "--param", "relu=true"]).expect(0);
+        let bytes = fs::read(folder.path().join("out.safetensors")).expect("the output");
+        let output = SafeTensors::deserialize(&bytes).expect("tensors");
+        let output = output.tensor("output").expect("the output");
+        // 10 x + 0.5, and the ReLU.
+        assert_eq!(output.data(), f32_bytes(&[10.5, 20.5, 30.5, 0.0]), "{device}");
+    }
+    op(&["--param", "stride=0"]).expect(2).tells("stride");
+    op(&["--param", "colour=red"]).expect(2).tells("colour");
+    write(&[("input", &input), ("bias", &bias)]);
+    op(&[]).expect(1).tells("no tensor `weight`");
+    write(&[("input", &input), ("weight", &weight), ("extra", &bias)]);
+    op(&[]).expect(1).tells("tensor `extra` is no input");
+    let negative = (Dtype::I64, vec![1], (-3_i64).to_le_bytes().to_vec());
+    write(&[("input", &negative), ("weight", &weight)]);
+    op(&[]).expect(1).tells("tensor `input`: expected 0 to 4294967295, got -3");
+    write(&[("input", &bias), ("weight", &weight)]);
+    op(&[]).expect(1).tells("input");
+    fs::write(&file, "junk").expect("written");
+    op(&[]).expect(1).tells("expected a whole safetensors file");
+    let listed = run(folder.path(), &["op", "--list"]).expect(0).stdout;
+    assert!(listed.lines().any(|l| l == "conv2d") && listed.lines().any(|l| l == "nms"), "{listed}");
+}
+
+#[test]
+fn shaders_are_checked_on_the_users_machine() {
+    let folder = folder();
+    let ran = run(folder.path(), &["check", "conv2d"]).expect(0);
+    let lines: Vec<&str> = ran.stdout.lines().collect();
+    assert!(lines.len() == 2 && lines[1].starts_with("conv2d") && lines[1].ends_with("ok"));
+}
+
+#[test]
+fn evaluation_counts_misses_and_names_unreadable_pictures() {
+    let folder = folder();
+    fs::create_dir(folder.path().join("images")).expect("created");
+    ramp(80, 80).save(folder.path().join("images/0.png")).expect("saved");
+    let labels = serde_json::json!({
+        "categories": [{"id": 1, "name": "a"}, {"id": 2, "name": "b"}],
+        "images": [
+            {"id": 7, "file_name": "0.png", "width": 80, "height": 80},
+            {"id": 8, "file_name": "gone.png", "width": 80, "height": 80}
+        ],
+        // A snap that nobody finds in a ramp, and one in the picture that is gone.
+        "annotations": [
+            {"id": 1, "image_id": 7, "category_id": 1, "bbox": [70, 0, 2, 2]},
+            {"id": 2, "image_id": 8, "category_id": 2, "bbox": [10, 10, 30, 30]}
+        ]
+    });
+    let file = folder.path().join("annotations.json");
+    fs::write(&file, labels.to_string()).expect("written");
+    let arguments = ["eval", "--data", ".", "--json"];
+    let ran = run(folder.path(), &arguments).expect(1).tells("gone.png");
+    let report = &ran.json()[0];
+    assert_eq!((&report["pictures"], &report["failed"]), (&1.into(), &1.into()));
+    let [a, b] = [&report["classes"][0], &report["classes"][1]];
+    assert_eq!((&a["class"], &a["snaps"], &a["right"]), (&"A".into(), &1.into(), &0.into()));
+    assert_eq!((&a["mean_best_iou"], &a["ap50"]), (&0.0.into(), &0.0.into()));
+    assert_eq!((&b["snaps"], &b["mean_best_iou"]), (&0.into(), &Value::Null));
+    assert_eq!(a["paper"]["mean_iou"], 0.9178);
+
+    let renamed = labels.to_string().replace("\"name\":\"b\"", "\"name\":\"screw\"");
+    fs::write(&file, renamed).expect("written");
+    run(folder.path(), &arguments).expect(1).tells("got `screw`");
+    run(folder.path(), &["eval", "--data", "nowhere"]).expect(1).tells("nowhere");
+}
+
+#[test]
+fn unwritable_outputs_are_named() {
+    let folder = folder();
+    ramp(8, 8).save(folder.path().join("x.png")).expect("saved");
+    fs::write(folder.path().join("file"), "").expect("written");
+    run(folder.path(), &["detect", "x.png", "--save", "file"]).expect(6).tells("file");
+    let full = fs::OpenOptions::new().write(true).open("/dev/full").expect("Linux's full device");
+    let output = command(folder.path()).args(["devices"]).stdout(full).output();
+    Ran::from(output.expect("the program runs")).expect(6).tells("stdout");
+}
+
+#[test]
+fn a_reader_that_leaves_ends_the_program_quietly() {
+    let folder = folder();
+    let (reader, writer) = std::io::pipe().expect("a pipe");
+    drop(reader);
+    let output = command(folder.path()).args(["op", "--list"]).stdout(writer).output();
+    let ran = Ran::from(output.expect("the program runs")).expect(0);
+    assert_eq!(ran.stderr, "");
+}

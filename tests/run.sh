@@ -1,0 +1,73 @@
+#!/usr/bin/env bash
+# Runs every check, on a GPU or on a software adapter. Where no Vulkan adapter is found it installs
+# Mesa's (lavapipe) by apt, as root or with sudo. Without an adapter it fails: nothing is skipped.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+# What apt brings: the loader and lavapipe.
+packages=(libvulkan1 mesa-vulkan-drivers)
+
+steps=()
+times=()
+current=""
+started=$SECONDS
+
+summary() {
+    local status=$?
+    echo
+    for i in "${!steps[@]}"; do
+        printf 'ok      %-8s %4d s\n' "${steps[i]}" "${times[i]}"
+    done
+    if [ "$status" -eq 0 ]; then
+        echo "All checks passed in $((SECONDS - started)) s."
+    else
+        echo "FAILED  ${current:-set-up}"
+    fi
+}
+trap summary EXIT
+
+step() {
+    current=$1
+    shift
+    local begin=$SECONDS
+    echo
+    echo "== $current: $*"
+    "$@"
+    steps+=("$current")
+    times+=($((SECONDS - begin)))
+}
+
+smr_gpu=target/release/smr-gpu
+
+install_adapter() {
+    local as_root=()
+    if [ "$(id -u)" -ne 0 ]; then
+        as_root=(sudo)
+    fi
+    if ! command -v apt-get >/dev/null; then
+        echo "No Vulkan adapter was found. Install a Vulkan loader and driver, on Debian: ${packages[*]}"
+        exit 1
+    fi
+    if [ "$(id -u)" -ne 0 ] && ! sudo -v; then
+        echo "No Vulkan adapter was found. As root, run: apt-get install ${packages[*]}"
+        exit 1
+    fi
+    "${as_root[@]}" apt-get update
+    DEBIAN_FRONTEND=noninteractive \
+        "${as_root[@]}" apt-get install --yes --no-install-recommends "${packages[@]}"
+}
+
+have_adapter() {
+    if ! "$smr_gpu" devices; then
+        install_adapter
+        "$smr_gpu" devices
+    fi
+}
+
+step format cargo fmt --check
+step build cargo build --locked --release
+step adapter have_adapter
+step clippy cargo clippy --locked --release --all-targets -- -D warnings
+RUSTDOCFLAGS="-D warnings" step docs cargo doc --locked --release --no-deps
+step tests cargo test --locked --release
+step shaders "$smr_gpu" check

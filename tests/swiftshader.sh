@@ -1,0 +1,32 @@
+#!/usr/bin/env bash
+# Runs the tests on SwiftShader, a second software adapter: subgroups of 4, no f16.
+# Usage: tests/swiftshader.sh [vk_swiftshader_icd.json]
+# Without an argument it takes the one in Debian's package chromium-common, which it unpacks under
+# target/ and does not install.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+icd=${1:-}
+if [ -z "$icd" ]; then
+    folder=$PWD/target/swiftshader
+    icd=$folder/usr/lib/chromium/vk_swiftshader_icd.json
+    if [ ! -e "$icd" ]; then
+        mkdir -p "$folder"
+        (cd "$folder" && apt-get download chromium-common && dpkg -x chromium-common_*.deb .)
+        if [ ! -e "$icd" ]; then
+            echo "$icd: expected it in chromium-common, which does not hold it"
+            exit 1
+        fi
+    fi
+fi
+
+export VK_ICD_FILENAMES=$icd VK_DRIVER_FILES=$icd
+cargo build --locked --release
+devices=$(target/release/smr-gpu devices)
+echo "$devices"
+if ! grep -q SwiftShader <<<"$devices"; then
+    echo "$icd: expected SwiftShader, got another adapter"
+    exit 1
+fi
+cargo test --locked --release
+target/release/smr-gpu check

@@ -11,7 +11,8 @@ fn detect(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("detect");
     group.sample_size(10);
     for (name, device) in [("adapter", Device::default()), ("cpu", Device::Cpu)] {
-        let mut config = Config::new(concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors"));
+        let mut config =
+            Config::new(concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors"));
         config.device = device;
         let detector = GpuDetector::new(config).expect("a detector");
         group.bench_function(name, |b| b.iter(|| detector.detect(&picture).expect("detections")));

@@ -247,8 +247,16 @@ fn pictures(folder: &Path) -> (Vec<&'static str>, Vec<(&'static str, &'static st
     fs::write(folder.join("empty.png"), "").expect("written");
     fs::copy(format!("{PICTURES}/huge.png"), folder.join("huge.png")).expect("copied");
     let good = vec![
-        "cmyk.jpg", "grey.png", "grey_alpha.png", "one_pixel.png", "palette.png", "rgb.bmp",
-        "rgb.png", "sixteen_bit.png", "tall.png", "turned.jpg",
+        "cmyk.jpg",
+        "grey.png",
+        "grey_alpha.png",
+        "one_pixel.png",
+        "palette.png",
+        "rgb.bmp",
+        "rgb.png",
+        "sixteen_bit.png",
+        "tall.png",
+        "turned.jpg",
     ];
     let bad = vec![
         ("empty.png", "expected a PNG, JPEG, BMP or TIFF picture"),
@@ -329,7 +337,10 @@ fn stdin_is_a_picture_and_stages_are_dumped() {
     assert_eq!((pixels.dtype(), pixels.shape()), (Dtype::F32, [3, side, side].as_slice()));
     let count = stages.tensor("detection_count").expect("the count");
     let found = ran.json()[0]["detections"].as_array().expect("a list").len();
-    assert_eq!((count.dtype(), count.data()), (Dtype::U32, (found as u32).to_le_bytes().as_slice()));
+    assert_eq!(
+        (count.dtype(), count.data()),
+        (Dtype::U32, (found as u32).to_le_bytes().as_slice())
+    );
 }
 
 #[test]
@@ -383,7 +394,10 @@ fn one_operation_runs_on_tensors_from_a_file() {
     fs::write(&file, "junk").expect("written");
     op(&[]).expect(1).tells("expected a whole safetensors file");
     let listed = run(folder.path(), &["op", "--list"]).expect(0).stdout;
-    assert!(listed.lines().any(|l| l == "conv2d") && listed.lines().any(|l| l == "nms"), "{listed}");
+    assert!(
+        listed.lines().any(|l| l == "conv2d") && listed.lines().any(|l| l == "nms"),
+        "{listed}"
+    );
 }
 
 #[test]

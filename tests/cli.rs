@@ -366,7 +366,8 @@ fn one_operation_runs_on_tensors_from_a_file() {
     let input = f32s(&[1, 2, 2], &[1.0, 2.0, 3.0, -4.0]);
     let weight = f32s(&[1, 1, 1, 1], &[10.0]);
     let bias = f32s(&[1], &[0.5]);
-    let write = |tensors: &[(&str, &(Dtype, Vec<usize>, Vec<u8>))]| {
+    type Stored = (Dtype, Vec<usize>, Vec<u8>);
+    let write = |tensors: &[(&str, &Stored)]| {
         let tensors: Vec<_> =
             tensors.iter().map(|(n, (d, s, b))| (*n, *d, s.clone(), b.clone())).collect();
         write_tensors(&file, &tensors);

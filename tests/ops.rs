@@ -3,5 +3,45 @@
 #[path = "support/mod.rs"]
 mod support;
 
+#[path = "ops/apply_gates.rs"]
+mod apply_gates;
+#[path = "ops/channel_gate.rs"]
+mod channel_gate;
+#[path = "ops/channel_pool.rs"]
+mod channel_pool;
 #[path = "ops/conv2d.rs"]
 mod conv2d;
+#[path = "ops/crop_resize.rs"]
+mod crop_resize;
+#[path = "ops/decode_detections.rs"]
+mod decode_detections;
+#[path = "ops/decode_proposals.rs"]
+mod decode_proposals;
+#[path = "ops/gather_rows.rs"]
+mod gather_rows;
+#[path = "ops/global_avg_pool.rs"]
+mod global_avg_pool;
+#[path = "ops/indirect_grid.rs"]
+mod indirect_grid;
+#[path = "ops/linear.rs"]
+mod linear;
+#[path = "ops/max_pool2d.rs"]
+mod max_pool2d;
+#[path = "ops/nms.rs"]
+mod nms;
+#[path = "ops/roi_align.rs"]
+mod roi_align;
+#[path = "ops/scale_weights.rs"]
+mod scale_weights;
+#[path = "ops/softmax.rs"]
+mod softmax;
+#[path = "ops/spatial_gate.rs"]
+mod spatial_gate;
+#[path = "ops/spatial_pool.rs"]
+mod spatial_pool;
+#[path = "ops/top_k.rs"]
+mod top_k;
+#[path = "ops/upsample_bilinear.rs"]
+mod upsample_bilinear;
+#[path = "ops/weighted_sum.rs"]
+mod weighted_sum;

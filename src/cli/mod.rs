@@ -2,6 +2,7 @@
 //!
 //! Data goes to stdout, messages for people to stderr; exit codes are in [`exit`].
 
+mod calibrate;
 mod check;
 mod detect;
 mod detector;
@@ -12,6 +13,7 @@ mod exit;
 mod op;
 mod output;
 mod picture;
+mod simulate;
 mod source;
 mod tensors;
 
@@ -36,6 +38,8 @@ enum Command {
     Eval(eval::Args),
     Op(op::Args),
     Check(check::Args),
+    Simulate(simulate::Args),
+    Calibrate(calibrate::Args),
 }
 
 /// Runs the program.
@@ -46,6 +50,8 @@ pub(crate) fn run() -> ExitCode {
         Command::Eval(args) => eval::run(args),
         Command::Op(args) => op::run(args),
         Command::Check(args) => check::run(args),
+        Command::Simulate(args) => simulate::run(args),
+        Command::Calibrate(args) => calibrate::run(args),
     };
     let exit = result.unwrap_or_else(|Failure { exit, message }| {
         if let Some(message) = message {

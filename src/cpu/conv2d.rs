@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use crate::cpu::shared;
 use crate::tensor::Tensor;
 
 /// Geometry of a convolution, equal in both dimensions.
@@ -78,7 +79,7 @@ pub fn conv2d(
         let rest = residual.map(|r| &r.data()[o * area..][..area]);
         for (at, (out, sum)) in out.iter_mut().zip(&sums).enumerate() {
             let value = sum + rest.map_or(0.0, |r| f64::from(r[at]));
-            *out = if relu { value.max(0.0) } else { value } as f32;
+            *out = if relu { shared::relu(value) } else { value } as f32;
         }
     });
     output

@@ -2,6 +2,48 @@
 //!
 //! The functions take tensors that `ops` has checked; a shape that does not fit is a bug here.
 
+mod apply_gates;
+mod channel_gate;
+mod channel_pool;
 mod conv2d;
+mod crop_resize;
+mod decode_detections;
+mod decode_proposals;
+mod gather_rows;
+mod global_avg_pool;
+mod indirect_grid;
+mod linear;
+mod max_pool2d;
+mod nms;
+mod roi_align;
+mod scale_weights;
+mod shared;
+mod softmax;
+mod spatial_gate;
+mod spatial_pool;
+mod top_k;
+mod upsample_bilinear;
+mod weighted_sum;
 
+pub use apply_gates::apply_gates;
+pub use channel_gate::channel_gate;
+pub use channel_pool::channel_pool;
 pub use conv2d::{ConvShape, conv2d};
+pub use crop_resize::{Crop, crop_resize};
+pub use decode_detections::{DetectionRule, decode_detections};
+pub use decode_proposals::{AnchorGrid, decode_proposals, sigmoid};
+pub use gather_rows::gather_rows;
+pub use global_avg_pool::global_avg_pool;
+pub use indirect_grid::indirect_grid;
+pub use linear::linear;
+pub use max_pool2d::max_pool2d;
+pub use nms::{NmsRule, nms};
+pub use roi_align::{RoiGrid, roi_align};
+pub use scale_weights::scale_weights;
+pub use shared::boxes::{MAX_LOG_SCALE, decode_box, iou_above};
+pub use softmax::softmax;
+pub use spatial_gate::spatial_gate;
+pub use spatial_pool::spatial_pool;
+pub use top_k::top_k;
+pub use upsample_bilinear::upsample_bilinear;
+pub use weighted_sum::weighted_sum;

@@ -72,6 +72,7 @@ enum StepGrid {
 
 struct Output {
     id: TensorId,
+    slot: usize,
     spec: TensorSpec,
     name: String,
     offset: u64,
@@ -82,7 +83,7 @@ pub struct Plan {
     gpu: Arc<Gpu>,
     options: PlanOptions,
     buffers: Vec<wgpu::Buffer>,
-    slot: Vec<usize>,
+    slot: Vec<Option<usize>>,
     /// Tensors the host writes before each run.
     inputs: HashMap<TensorId, TensorSpec>,
     /// Buffers that dispatches write, to be poisoned in guarded plans.
@@ -149,7 +150,8 @@ impl Plan {
         let mut outputs = Vec::new();
         let mut staging_bytes = 0;
         for (index, info) in recording.tensors().iter().enumerate() {
-            let buffer = &buffers[slot[index]];
+            let Some(at) = slot[index] else { continue };
+            let buffer = &buffers[at];
             match &info.role {
                 Role::Constant(value) => gpu.queue.write_buffer(buffer, 0, value.bytes()),
                 Role::Input => {
@@ -158,7 +160,7 @@ impl Plan {
                 Role::Transient | Role::Output => {
                     if options.guard {
                         let poison = vec![POISON; (buffer.size() / 4) as usize];
-                        computed.push((slot[index], bytemuck::cast_slice(&poison).to_vec()));
+                        computed.push((at, bytemuck::cast_slice(&poison).to_vec()));
                     }
                 }
             }
@@ -166,6 +168,7 @@ impl Plan {
             if is_output || (options.guard && matches!(info.role, Role::Transient)) {
                 outputs.push(Output {
                     id: TensorId(index),
+                    slot: at,
                     spec: info.spec.clone(),
                     name: info.name.clone(),
                     offset: staging_bytes,
@@ -220,7 +223,7 @@ impl Plan {
         gpu: &Gpu,
         recording: &Recording,
         buffers: &[wgpu::Buffer],
-        slot: &[usize],
+        slot: &[Option<usize>],
     ) -> Result<Vec<Step>> {
         let mut uniforms: Vec<u8> = Vec::new();
         let offsets: Vec<usize> = recording
@@ -255,7 +258,7 @@ impl Plan {
                     },
                     _ => {
                         let id = bound(dispatch, name)?;
-                        buffers[slot[id.0]].as_entire_buffer_binding()
+                        buffer_of(buffers, slot, dispatch, id)?.as_entire_buffer_binding()
                     }
                 };
                 entries.push(wgpu::BindGroupEntry {
@@ -277,7 +280,9 @@ impl Plan {
             });
             let grid = match dispatch.grid {
                 Grid::Workgroups(n) => StepGrid::Direct(n),
-                Grid::Indirect(id) => StepGrid::Indirect(buffers[slot[id.0]].clone()),
+                Grid::Indirect(id) => {
+                    StepGrid::Indirect(buffer_of(buffers, slot, dispatch, id)?.clone())
+                }
             };
             steps.push(Step { pipeline, bind_group, grid });
         }
@@ -310,7 +315,9 @@ impl Plan {
                 gpu.queue.write_buffer(&self.buffers[*slot], 0, poison);
             }
             for (id, value) in inputs {
-                gpu.queue.write_buffer(&self.buffers[self.slot[id.0]], 0, value.bytes());
+                if let Some(slot) = self.slot[id.0] {
+                    gpu.queue.write_buffer(&self.buffers[slot], 0, value.bytes());
+                }
             }
             gpu.queue.submit([self.encode()]);
             Ok(())
@@ -346,7 +353,7 @@ impl Plan {
         for output in &self.outputs {
             let bytes = output.spec.bytes() + guard;
             if bytes > 0 {
-                let buffer = &self.buffers[self.slot[output.id.0]];
+                let buffer = &self.buffers[output.slot];
                 encoder.copy_buffer_to_buffer(buffer, 0, &self.staging, output.offset, bytes);
             }
         }
@@ -408,6 +415,16 @@ fn bound(dispatch: &Dispatch, name: &str) -> Result<TensorId> {
         .find(|(n, _)| *n == name)
         .map(|(_, id)| *id)
         .ok_or_else(|| mismatch(dispatch, format!("binding `{name}` was not recorded")))
+}
+
+fn buffer_of<'a>(
+    buffers: &'a [wgpu::Buffer],
+    slot: &[Option<usize>],
+    dispatch: &Dispatch,
+    id: TensorId,
+) -> Result<&'a wgpu::Buffer> {
+    let buffer = slot[id.0].and_then(|at| buffers.get(at));
+    buffer.ok_or_else(|| mismatch(dispatch, format!("tensor {} has no buffer", id.0)))
 }
 
 fn mismatch(dispatch: &Dispatch, message: String) -> Error {

@@ -28,6 +28,9 @@ pub struct Shader {
 const SHARED: &[(&str, &str)] = &[
     ("index", include_str!("../../wgsl/shared/index.wgsl")),
     ("boxes", include_str!("../../wgsl/shared/boxes.wgsl")),
+    ("relu", include_str!("../../wgsl/shared/relu.wgsl")),
+    ("reduce", include_str!("../../wgsl/shared/reduce.wgsl")),
+    ("sigmoid", include_str!("../../wgsl/shared/sigmoid.wgsl")),
 ];
 
 /// Declares `Params`, the Rust mirror of a shader's uniform, and its [`ParamLayout`].

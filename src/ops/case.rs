@@ -150,7 +150,8 @@ fn compare(
             }
         }
         // Not `error > limit`: a NaN must fail.
-        if !(error <= limit) {
+        let within = error <= limit;
+        if !within {
             bad += 1;
             first.get_or_insert(format!("element {i}: {shown}"));
         }
@@ -176,4 +177,41 @@ use crate::gpu::POISON;
 pub fn random(seed: u64, shape: impl Into<Shape>) -> Tensor {
     let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
     Tensor::from_fn(shape, |_| rng.random_range(-1.0..1.0))
+}
+
+/// Values written out in a case, row-major.
+pub fn values(shape: impl Into<Shape>, data: &[f32]) -> Value {
+    Tensor::from_fn(shape, |i| data[i]).into()
+}
+
+/// [`random`] values times `scale`, for the ends of the range.
+pub fn random_scaled(seed: u64, shape: impl Into<Shape>, scale: f32) -> Value {
+    let mut tensor = random(seed, shape);
+    tensor.data_mut().iter_mut().for_each(|x| *x *= scale);
+    tensor.into()
+}
+
+/// An integer tensor of values written out in a case; `data` is as long as `shape` says.
+pub fn integers(shape: impl Into<Shape>, data: &[u32]) -> Value {
+    Tensor::from_fn(shape, |i| data[i]).into()
+}
+
+/// Uniform integers below `below`, the same for the same seed on every machine.
+pub fn random_integers(seed: u64, shape: impl Into<Shape>, below: u32) -> Value {
+    let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
+    Tensor::from_fn(shape, |_| rng.random_range(0..below)).into()
+}
+
+/// `n` boxes `[n, 4]` with corners within `extent` pixels and sides up to `side`.
+pub fn random_boxes(seed: u64, n: usize, extent: f32, side: f32) -> Tensor {
+    let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
+    let mut boxes = Tensor::zeros([n, 4]);
+    for b in boxes.data_mut().chunks_exact_mut(4) {
+        for axis in 0..2 {
+            let length = rng.random_range(0.0..side);
+            b[axis] = rng.random_range(0.0..extent - length);
+            b[axis + 2] = b[axis] + length;
+        }
+    }
+    boxes
 }

@@ -7,15 +7,80 @@ pub mod case;
 pub mod op;
 pub mod params;
 
+mod apply_gates;
+pub mod bounds;
+mod boxes;
+mod channel_gate;
+mod channel_pool;
 mod conv2d;
+mod count;
+mod crop_resize;
+mod decode_detections;
+mod decode_proposals;
+mod gather_rows;
+mod global_avg_pool;
+mod indirect_grid;
+mod linear;
+mod max_pool2d;
+mod nms;
+mod roi_align;
+mod scale_weights;
+mod softmax;
+mod spatial_gate;
+mod spatial_pool;
+mod top_k;
+mod upsample_bilinear;
+mod weighted_sum;
 
+pub use apply_gates::ApplyGates;
 pub use case::{Case, Report, check};
+pub use channel_gate::ChannelGate;
+pub use channel_pool::ChannelPool;
 pub use conv2d::Conv2d;
+pub use crop_resize::CropResize;
+pub use decode_detections::DecodeDetections;
+pub use decode_proposals::DecodeProposals;
+pub use gather_rows::GatherRows;
+pub use global_avg_pool::GlobalAvgPool;
+pub use indirect_grid::{IndirectGrid, record_indirect_grid};
+pub use linear::Linear;
+pub use max_pool2d::MaxPool2d;
+pub use nms::Nms;
 pub use op::{Entry, Op, Tolerance};
 pub use params::Params;
+pub use roi_align::RoiAlign;
+pub use scale_weights::ScaleWeights;
+pub use softmax::Softmax;
+pub use spatial_gate::SpatialGate;
+pub use spatial_pool::SpatialPool;
+pub use top_k::TopK;
+pub use upsample_bilinear::UpsampleBilinear;
+pub use weighted_sum::WeightedSum;
 
 /// Every operation, by name.
-pub static OPS: &[&Entry] = &[&conv2d::ENTRY];
+pub static OPS: &[&Entry] = &[
+    &apply_gates::ENTRY,
+    &channel_gate::ENTRY,
+    &channel_pool::ENTRY,
+    &conv2d::ENTRY,
+    &crop_resize::ENTRY,
+    &decode_detections::ENTRY,
+    &decode_proposals::ENTRY,
+    &gather_rows::ENTRY,
+    &global_avg_pool::ENTRY,
+    &indirect_grid::ENTRY,
+    &linear::ENTRY,
+    &max_pool2d::ENTRY,
+    &nms::ENTRY,
+    &roi_align::ENTRY,
+    &scale_weights::ENTRY,
+    &softmax::ENTRY,
+    &spatial_gate::ENTRY,
+    &spatial_pool::ENTRY,
+    &top_k::ENTRY,
+    &upsample_bilinear::ENTRY,
+    &weighted_sum::ENTRY,
+];
 
 /// The operation called `name`.
 pub fn find(name: &str) -> Option<&'static Entry> {

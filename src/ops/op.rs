@@ -70,6 +70,9 @@ pub enum Tolerance {
 /// Unit roundoff of f32: half the distance from 1 to the next float.
 pub const EPS: f64 = f32::EPSILON as f64 / 2.0;
 
+/// Builds an operation from its parameters and the names of the tensors that are present.
+pub type Build = fn(&mut Params, &[&str]) -> Result<Box<dyn Op>>;
+
 /// An operation's entry in [`crate::ops::OPS`].
 #[derive(Debug)]
 pub struct Entry {
@@ -77,8 +80,8 @@ pub struct Entry {
     pub name: &'static str,
     /// Its shader.
     pub shader: &'static Shader,
-    /// Builds the operation from named parameters, given which tensors are present.
-    pub build: fn(&mut Params, &[&str]) -> Result<Box<dyn Op>>,
+    /// Builds the operation for a command line.
+    pub build: Build,
     /// The cases that every implementation of it must pass.
     pub cases: fn() -> Vec<Case>,
 }
@@ -120,4 +123,25 @@ pub fn expect(op: &str, tensor: &str, expected: &TensorSpec, got: &TensorSpec) -
         return Err(Error::tensor(op, tensor, expected, got));
     }
     Ok(())
+}
+
+/// The dimensions of a feature map `[C, H, W]`, of which none may be zero.
+///
+/// # Errors
+/// [`Error::Tensor`] that names the operation and the tensor.
+pub fn map_dims(op: &str, tensor: &str, spec: &TensorSpec) -> Result<[usize; 3]> {
+    let got = dims(op, tensor, spec, crate::shape::DType::F32)?;
+    if got.contains(&0) {
+        return Err(Error::tensor(op, tensor, "[C, H, W] without a zero", spec));
+    }
+    Ok(got)
+}
+
+/// Checks the inputs of a reference as [`Op::infer`] does.
+///
+/// # Errors
+/// As [`Op::infer`].
+pub fn check_inputs(op: &dyn Op, inputs: &[&Value]) -> Result<()> {
+    let specs: Vec<_> = inputs.iter().map(|v| v.spec()).collect();
+    op.infer(&specs).map(|_| ())
 }

@@ -2,8 +2,9 @@
 
 use std::sync::{Arc, OnceLock};
 
-use smr_gpu::gpu::{Gpu, GpuOptions};
-use smr_gpu::ops::{self, check};
+use smr_gpu::gpu::{Gpu, GpuOptions, Recording, Role};
+use smr_gpu::ops::{self, Op, check};
+use smr_gpu::shape::TensorSpec;
 
 /// The device that all tests of a process share; no adapter is a failure, never a skip.
 pub fn gpu() -> &'static Arc<Gpu> {
@@ -28,4 +29,22 @@ pub fn check_op(name: &str) {
         }
     }
     assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
+
+/// What an operation says to inputs that it must refuse.
+#[allow(dead_code, reason = "not every test crate runs operations")]
+pub fn refusal(op: &dyn Op, inputs: &[TensorSpec]) -> String {
+    op.infer(inputs).expect_err("an error").to_string()
+}
+
+/// What an operation says when it is recorded with inputs past its shader's capacity.
+#[allow(dead_code, reason = "not every test crate runs operations")]
+pub fn recording_error(op: &dyn Op, inputs: &[TensorSpec]) -> String {
+    let mut recording = Recording::default();
+    let outputs = op.infer(inputs).expect("inputs that fit");
+    let mut add = |specs: &[TensorSpec]| -> Vec<_> {
+        specs.iter().map(|s| recording.tensor("tensor", s.clone(), Role::Transient)).collect()
+    };
+    let (inputs, outputs) = (add(inputs), add(&outputs));
+    op.record(&mut recording, &inputs, &outputs).expect_err("an error").to_string()
 }

@@ -1,0 +1,67 @@
+//! `smr-gpu calibrate`: the simulated sensor's optics against real presses of a ball.
+
+use std::path::PathBuf;
+
+use smr_gpu::sensor::Error;
+use smr_gpu::sensor::calibrate::{
+    self, CROP_PX, DIFFERENCE_GAIN, Distance, FOLDS, read_sensors, write_sensors,
+};
+
+use super::exit::{Exit, Failure};
+use super::output::{cannot_write, line, tell};
+
+/// Compare the simulated sensor with real presses of a ball
+///
+/// Fits the optics to some presses and measures the distance to the others, round about, in crops
+/// about each contact: mean absolute difference in 8-bit levels, PSNR and SSIM.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Folder with background.png, the presses and presses.csv.
+    #[arg(long, value_name = "DIR")]
+    presses: PathBuf,
+
+    /// Save a real press, the simulated press and their difference side by side.
+    #[arg(long, value_name = "PNG")]
+    save: Option<PathBuf>,
+
+    /// Write the fitted sensor, in the form of the simulator's own src/sensor/calibration.json.
+    #[arg(long, value_name = "JSON")]
+    write: Option<PathBuf>,
+
+    /// Folder with GelSight's calibration files (*.yaml) of more sensors for --write.
+    #[arg(long, value_name = "DIR", requires = "write")]
+    flatfields: Option<PathBuf>,
+}
+
+pub(super) fn run(args: Args) -> Result<Exit, Failure> {
+    let report = calibrate::calibrate(&args.presses).map_err(unreadable)?;
+    line(format!("{} presses, {CROP_PX}×{CROP_PX} crops, {FOLDS}-fold held out", report.presses))?;
+    line("")?;
+    line("| renderer | L1 | PSNR, dB | SSIM |")?;
+    line("|---|---|---|---|")?;
+    let row = |name: &str, d: &Distance| {
+        line(format!("| {name} | {:.2} | {:.2} | {:.3} |", d.l1, d.psnr_db, d.ssim))
+    };
+    row("the untouched background, nothing drawn", &report.background)?;
+    row("this simulator, held out", &report.held_out)?;
+    if let Some(path) = &args.save {
+        report.comparison.save(path).map_err(|error| cannot_write(path, error))?;
+        tell(format!(
+            "{}: real, simulated, difference ({DIFFERENCE_GAIN} times, about grey)",
+            path.display()
+        ));
+    }
+    if let Some(path) = &args.write {
+        let mut sensors = vec![report.sensor()];
+        if let Some(folder) = &args.flatfields {
+            sensors.extend(read_sensors(folder).map_err(unreadable)?);
+        }
+        write_sensors(path, &sensors).map_err(|error| Failure::new(Exit::Output, error))?;
+        tell(format!("{}: {} sensors", path.display(), sensors.len()));
+    }
+    Ok(Exit::Done)
+}
+
+fn unreadable(error: Error) -> Failure {
+    Failure::new(Exit::Inputs, error)
+}

@@ -1,0 +1,24 @@
+//! A fully connected layer.
+
+use rayon::prelude::*;
+
+use crate::cpu::shared;
+use crate::tensor::Tensor;
+
+/// `output[r, o] = Σ weight[o, k] · input[r, k] + bias[o]`, then ReLU if `relu`, for the first
+/// `rows` rows of `input`, whose dimensions behind the first are taken as one; PyTorch's `linear`.
+pub fn linear(input: &Tensor, weight: &Tensor, bias: &Tensor, rows: usize, relu: bool) -> Tensor {
+    let [outputs, inner] = [0, 1].map(|i| weight.dims()[i]);
+    let mut output = Tensor::zeros([rows, outputs]);
+    output.data_mut().par_chunks_mut(outputs).zip(input.data().par_chunks(inner)).for_each(
+        |(out, row)| {
+            let weights = weight.data().chunks_exact(inner);
+            for ((out, weights), bias) in out.iter_mut().zip(weights).zip(bias.data()) {
+                let products = weights.iter().zip(row).map(|(w, x)| f64::from(*w) * f64::from(*x));
+                let value = f64::from(*bias) + products.sum::<f64>();
+                *out = if relu { shared::relu(value) } else { value } as f32;
+            }
+        },
+    );
+    output
+}

@@ -1,0 +1,402 @@
+//! [`GpuDetector`]: a picture in, snaps out.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use image::DynamicImage;
+
+use crate::error::{Error, Result};
+use crate::gpu::{AdapterChoice, Gpu, GpuOptions, Plan, PlanOptions, StageTime, TensorId};
+use crate::model::{ModelConfig, Network, Thresholds, Weights};
+use crate::tensor::{Tensor, Value};
+
+/// Pixels for which a detector makes room at first: the sensor's 1000 × 1000. It grows when a
+/// larger picture comes.
+const FIRST_CAPACITY: usize = 1000 * 1000;
+/// Most detections a picture may have.
+const MAX_DETECTIONS: usize = 100;
+
+/// What runs the network.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Device {
+    /// A GPU, or a software adapter that acts as one.
+    Gpu(AdapterChoice),
+    /// The f64 reference on the CPU's cores.
+    Cpu,
+}
+
+impl Default for Device {
+    fn default() -> Self {
+        Self::Gpu(AdapterChoice::Auto)
+    }
+}
+
+impl std::str::FromStr for Device {
+    type Err = std::convert::Infallible;
+
+    /// `auto`, `cpu`, an adapter's index, or part of its name.
+    fn from_str(text: &str) -> std::result::Result<Self, Self::Err> {
+        Ok(match text {
+            "auto" => Self::default(),
+            "cpu" => Self::Cpu,
+            other => Self::Gpu(match other.parse() {
+                Ok(index) => AdapterChoice::Index(index),
+                Err(_) => AdapterChoice::Name(other.into()),
+            }),
+        })
+    }
+}
+
+/// Where the weights are.
+#[derive(Clone, Debug)]
+pub enum WeightSource {
+    /// A safetensors file.
+    File(PathBuf),
+    /// A safetensors file's bytes, with a name for messages.
+    Bytes(PathBuf, Arc<[u8]>),
+}
+
+/// How to build a [`GpuDetector`].
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// The weights.
+    pub weights: WeightSource,
+    /// What runs the network.
+    pub device: Device,
+    /// Side of the network's input in pixels, a multiple of 32; `None` for the weight file's.
+    pub input_size: Option<usize>,
+    /// A detection's score must be above this; in `[0, 1]`.
+    pub score: f32,
+    /// Of two detections of a class whose intersection over union is above this, the lower goes; in
+    /// `[0, 1]`.
+    pub iou: f32,
+    /// At most so many detections a picture; 1 to 100.
+    pub max_detections: usize,
+    /// Names of the wanted classes; empty for all.
+    pub classes: Vec<String>,
+    /// Longest wait for one picture on a GPU.
+    pub timeout: Duration,
+    /// Let wgpu check the shaders' bounds (slower; see [`GpuOptions::checked`]).
+    pub checked: bool,
+    /// Keep every stage's tensor, for [`GpuDetector::detect_with_stages`]; takes more memory.
+    pub keep_stages: bool,
+    /// Let tensors whose lifetimes do not overlap share memory.
+    pub reuse_buffers: bool,
+}
+
+impl Config {
+    /// The default configuration with the weights in `file`.
+    pub fn new(file: impl AsRef<Path>) -> Self {
+        Self {
+            weights: WeightSource::File(file.as_ref().into()),
+            device: Device::default(),
+            input_size: None,
+            score: 0.05,
+            iou: 0.5,
+            max_detections: MAX_DETECTIONS,
+            classes: Vec::new(),
+            timeout: GpuOptions::default().timeout,
+            checked: false,
+            keep_stages: false,
+            reuse_buffers: true,
+        }
+    }
+
+    fn thresholds(&self, model: &ModelConfig) -> Result<Thresholds> {
+        for (name, value) in [("score", self.score), ("iou", self.iou)] {
+            // A NaN is in no range.
+            if !(0.0..=1.0).contains(&value) {
+                return Err(Error::param("detect", name, "a number from 0 to 1", value));
+            }
+        }
+        if !(1..=MAX_DETECTIONS).contains(&self.max_detections) {
+            let got = self.max_detections;
+            return Err(Error::param("detect", "max_detections", "1 to 100", got));
+        }
+        let mut class_mask = 0;
+        for name in &self.classes {
+            let index = model.classes.iter().position(|c| c.eq_ignore_ascii_case(name));
+            let index = index.ok_or_else(|| {
+                Error::param("detect", "classes", model.classes.join(", "), format!("`{name}`"))
+            })?;
+            class_mask |= 2u32 << index;
+        }
+        if self.classes.is_empty() {
+            class_mask = u32::MAX;
+        }
+        Ok(Thresholds {
+            score: self.score,
+            iou: self.iou,
+            max_detections: self.max_detections,
+            class_mask,
+        })
+    }
+}
+
+/// One snap in a picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Detection {
+    /// Class name.
+    pub class: String,
+    /// Confidence from 0 to 1.
+    pub score: f32,
+    /// Corners (x1, y1, x2, y2) in pixels of the picture; pixel i covers `[i, i + 1]`.
+    pub bbox: [f32; 4],
+    /// Centre of the box on the gel in millimetres, from the picture's centre: x right, y down.
+    pub center_mm: [f32; 2],
+}
+
+/// What a picture holds, and what finding it took.
+#[derive(Clone, Debug)]
+pub struct Detections {
+    /// The snaps, best first.
+    pub detections: Vec<Detection>,
+    /// Width of the picture in pixels.
+    pub width: u32,
+    /// Height of the picture in pixels.
+    pub height: u32,
+    /// How many proposals the last stage looked at.
+    pub proposals: u32,
+    /// Time by stage on the device; empty where it has no timestamps.
+    pub stages: Vec<StageTime>,
+    /// Time from picture to detections.
+    pub wall: Duration,
+}
+
+/// Tensors of every stage, by the PyTorch reference's names.
+pub type Stages = Vec<(String, Value)>;
+
+/// Finds snap joints in pictures. Build it once; it holds the device, the compiled shaders, the
+/// weights and all buffers. Pictures given from several threads take turns.
+#[derive(Debug)]
+pub struct GpuDetector {
+    config: Config,
+    model: ModelConfig,
+    adapter: String,
+    engine: Mutex<Engine>,
+}
+
+#[derive(Debug)]
+struct Engine {
+    network: Network,
+    capacity: usize,
+    weights: Weights,
+    runner: Runner,
+}
+
+#[derive(Debug)]
+enum Runner {
+    Gpu { gpu: Arc<Gpu>, plan: Box<Plan> },
+    Cpu,
+}
+
+impl GpuDetector {
+    /// Loads the weights, opens the device, compiles the shaders and allocates the buffers.
+    ///
+    /// # Errors
+    /// [`Error::Weights`], [`Error::NoAdapter`], [`Error::Device`], [`Error::Shader`], or
+    /// [`Error::Param`] for a threshold out of its range or an unknown class.
+    pub fn new(config: Config) -> Result<Self> {
+        pollster::block_on(Self::new_async(config))
+    }
+
+    /// [`GpuDetector::new`] for callers with an executor of their own.
+    ///
+    /// # Errors
+    /// As [`GpuDetector::new`].
+    pub async fn new_async(config: Config) -> Result<Self> {
+        let weights = match &config.weights {
+            WeightSource::File(path) => Weights::open(path)?,
+            WeightSource::Bytes(name, bytes) => Weights::from_bytes(name, bytes)?,
+        };
+        let weights = match config.input_size {
+            Some(size) => weights.with_input_size(size)?,
+            None => weights,
+        };
+        let model = weights.config().clone();
+        let thresholds = config.thresholds(&model)?;
+        let network = Network::new(weights.clone(), FIRST_CAPACITY, thresholds)?;
+        let (runner, adapter) = match &config.device {
+            Device::Cpu => (Runner::Cpu, "CPU reference (f64)".to_owned()),
+            Device::Gpu(choice) => {
+                let options = GpuOptions {
+                    adapter: choice.clone(),
+                    timeout: config.timeout,
+                    checked: config.checked,
+                };
+                let gpu = Gpu::open(options).await?;
+                let adapter = format!("{} ({})", gpu.info().name, gpu.info().backend);
+                let plan = Box::new(plan(&gpu, &network, &config).await?);
+                (Runner::Gpu { gpu, plan }, adapter)
+            }
+        };
+        let engine = Mutex::new(Engine { network, capacity: FIRST_CAPACITY, weights, runner });
+        Ok(Self { config, model, adapter, engine })
+    }
+
+    /// The network's configuration.
+    pub fn model(&self) -> &ModelConfig {
+        &self.model
+    }
+
+    /// Name of the adapter that runs the network.
+    pub fn adapter(&self) -> &str {
+        &self.adapter
+    }
+
+    /// Finds the snaps in a picture of any size and pixel format. The network sees the largest
+    /// centred square.
+    ///
+    /// # Errors
+    /// [`Error::Picture`] for an empty picture, [`Error::Capacity`] for one past the device's
+    /// largest binding, [`Error::DeviceLost`], [`Error::Timeout`] or [`Error::Driver`] from the
+    /// device, [`Error::NotFinite`] if the network overflowed.
+    pub fn detect(&self, picture: &DynamicImage) -> Result<Detections> {
+        Ok(self.run(picture, false)?.0)
+    }
+
+    /// [`GpuDetector::detect`], with the tensor of every stage. Needs `Config::keep_stages`.
+    ///
+    /// # Errors
+    /// As [`GpuDetector::detect`]; [`Error::Param`] without `keep_stages`.
+    pub fn detect_with_stages(&self, picture: &DynamicImage) -> Result<(Detections, Stages)> {
+        if !self.config.keep_stages {
+            return Err(Error::param("detect", "keep_stages", true, false));
+        }
+        self.run(picture, true)
+    }
+
+    fn run(&self, picture: &DynamicImage, stages: bool) -> Result<(Detections, Stages)> {
+        let start = Instant::now();
+        let (width, height) = (picture.width(), picture.height());
+        if width == 0 || height == 0 {
+            let message = format!("expected at least 1 × 1 pixel, got {width} × {height}");
+            return Err(Error::Picture { file: "picture".into(), message });
+        }
+        let side = width.min(height);
+        let (x0, y0) = ((width - side) / 2, (height - side) / 2);
+        let mut engine = self.engine.lock().unwrap_or_else(PoisonError::into_inner);
+        self.make_room(&mut engine, width as usize * height as usize)?;
+        let rgba = picture.to_rgba8();
+        let mut pixels: Vec<u32> = bytemuck::pod_collect_to_vec(rgba.as_raw());
+        pixels.resize(engine.capacity, 0);
+        let pixels = Value::from(Tensor::new([engine.capacity], pixels)?);
+        let crop = Value::from(Tensor::new([5], vec![width, height, x0, y0, side])?);
+        let keep = if self.config.keep_stages { engine.network.graph.computed() } else { vec![] };
+        let Engine { network, runner, .. } = &mut *engine;
+        let inputs = [(network.picture, &pixels), (network.crop, &crop)];
+        let (mut values, times) = match runner {
+            Runner::Cpu => network.graph.reference(&inputs, &keep)?,
+            Runner::Gpu { plan, .. } => {
+                let run = plan.run(&inputs)?;
+                (run.values, run.stages)
+            }
+        };
+        check_finite(network, &values)?;
+        let scale = side as f32 / network.config.input_size as f32;
+        let place = Place { scale, origin: [x0 as f32, y0 as f32], width, height };
+        let detections = Detections {
+            detections: collect(network, &values, place)?,
+            width,
+            height,
+            proposals: count_of(network, &values, network.proposal_count)?,
+            stages: times,
+            wall: start.elapsed(),
+        };
+        let named = match stages {
+            false => Vec::new(),
+            true => keep
+                .iter()
+                .filter_map(|id| Some((network.graph.name(*id).to_owned(), values.remove(id)?)))
+                .collect(),
+        };
+        Ok((detections, named))
+    }
+
+    /// Rebuilds the plan for pictures of at least `pixels` pixels.
+    fn make_room(&self, engine: &mut Engine, pixels: usize) -> Result<()> {
+        if pixels <= engine.capacity {
+            return Ok(());
+        }
+        let thresholds = self.config.thresholds(&self.model)?;
+        let network = Network::new(engine.weights.clone(), pixels, thresholds)?;
+        if let Runner::Gpu { gpu, plan: old } = &mut engine.runner {
+            **old = pollster::block_on(plan(gpu, &network, &self.config))?;
+        }
+        engine.network = network;
+        engine.capacity = pixels;
+        Ok(())
+    }
+}
+
+async fn plan(gpu: &Arc<Gpu>, network: &Network, config: &Config) -> Result<Plan> {
+    let keep = if config.keep_stages { network.graph.computed() } else { Vec::new() };
+    let recording = network.graph.record(&keep)?;
+    let options = PlanOptions { reuse: config.reuse_buffers, guard: false, profile: true };
+    Plan::new(gpu, &recording, options).await
+}
+
+/// Where the network's square lies in the picture.
+#[derive(Clone, Copy)]
+struct Place {
+    scale: f32,
+    origin: [f32; 2],
+    width: u32,
+    height: u32,
+}
+
+fn value<'a>(
+    network: &Network,
+    values: &'a HashMap<TensorId, Value>,
+    id: TensorId,
+) -> Result<&'a Value> {
+    let name = network.graph.name(id);
+    values.get(&id).ok_or_else(|| Error::tensor("detect", name, "an output", "nothing"))
+}
+
+fn count_of(network: &Network, values: &HashMap<TensorId, Value>, id: TensorId) -> Result<u32> {
+    Ok(value(network, values, id)?.u32()?.data().first().copied().unwrap_or(0))
+}
+
+fn collect(
+    network: &Network,
+    values: &HashMap<TensorId, Value>,
+    place: Place,
+) -> Result<Vec<Detection>> {
+    let boxes = value(network, values, network.boxes)?.f32()?;
+    let scores = value(network, values, network.scores)?.f32()?;
+    let classes = value(network, values, network.classes)?.u32()?;
+    let count = count_of(network, values, network.count)? as usize;
+    let config = &network.config;
+    let middle = [place.width as f32 / 2.0, place.height as f32 / 2.0];
+    let rows = boxes.data().chunks_exact(4).zip(scores.data()).zip(classes.data());
+    rows.take(count)
+        .map(|((b, score), class)| {
+            let bbox = std::array::from_fn(|i| b[i] * place.scale + place.origin[i % 2]);
+            let center = |i: usize| (bbox[i] + bbox[i + 2]) / 2.0 - middle[i];
+            let name = config.classes.get((*class as usize).wrapping_sub(1));
+            let name = name.ok_or_else(|| {
+                Error::tensor("detect", "detection_classes", "a class of the weights", class)
+            })?;
+            Ok(Detection {
+                class: name.clone(),
+                score: *score,
+                bbox,
+                center_mm: [0, 1].map(|i| center(i) * config.mm_per_pixel),
+            })
+        })
+        .collect()
+}
+
+fn check_finite(network: &Network, values: &HashMap<TensorId, Value>) -> Result<()> {
+    for id in &network.witnesses {
+        let data = value(network, values, *id)?.f32()?.data();
+        let count = data.iter().filter(|v| !v.is_finite()).count() as u64;
+        if count > 0 {
+            return Err(Error::NotFinite { stage: network.graph.name(*id).into(), count });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,234 @@
+//! The network as data: operations over named tensors, run by either executor.
+//!
+//! The same graph is recorded for the GPU and walked on the CPU with the references, so the two
+//! cannot drift apart.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crate::error::{Error, Result};
+use crate::gpu::{Recording, Role, StageTime, TensorId};
+use crate::ops::Op;
+use crate::shape::TensorSpec;
+use crate::tensor::Value;
+
+/// One operation with what it reads and writes.
+#[derive(Debug)]
+struct Node {
+    op: Box<dyn Op>,
+    inputs: Vec<TensorId>,
+    outputs: Vec<TensorId>,
+    stage: usize,
+}
+
+#[derive(Debug)]
+struct GraphTensor {
+    name: String,
+    spec: TensorSpec,
+    source: Source,
+}
+
+#[derive(Debug)]
+enum Source {
+    Input,
+    Constant(Arc<Value>),
+    Computed,
+}
+
+/// Operations over tensors, in an order in which each reads only what came before.
+#[derive(Debug, Default)]
+pub struct Graph {
+    tensors: Vec<GraphTensor>,
+    nodes: Vec<Node>,
+    stages: Vec<String>,
+    outputs: Vec<TensorId>,
+}
+
+impl Graph {
+    fn push(&mut self, name: impl Into<String>, spec: TensorSpec, source: Source) -> TensorId {
+        self.tensors.push(GraphTensor { name: name.into(), spec, source });
+        TensorId(self.tensors.len() - 1)
+    }
+
+    /// A tensor that the host gives for each run.
+    pub fn input(&mut self, name: &str, spec: TensorSpec) -> TensorId {
+        self.push(name, spec, Source::Input)
+    }
+
+    /// A tensor that is known now, such as weights.
+    pub fn constant(&mut self, name: impl Into<String>, value: impl Into<Value>) -> TensorId {
+        let value = value.into();
+        self.push(name, value.spec(), Source::Constant(Arc::new(value)))
+    }
+
+    /// Starts a stage: the unit of timing.
+    pub fn begin_stage(&mut self, name: &str) {
+        self.stages.push(name.into());
+    }
+
+    /// Applies `op`; its outputs are called `name` if there is one, else `name.output`.
+    ///
+    /// # Errors
+    /// What [`Op::infer`] returns.
+    pub fn apply(
+        &mut self,
+        name: &str,
+        op: impl Op + 'static,
+        inputs: &[TensorId],
+    ) -> Result<Vec<TensorId>> {
+        let specs: Vec<_> = inputs.iter().map(|id| self.spec(*id).clone()).collect();
+        let out_specs = op.infer(&specs)?;
+        let names = op.outputs();
+        let single = names.len() == 1;
+        let outputs: Vec<_> = out_specs
+            .into_iter()
+            .zip(names)
+            .map(|(spec, n)| {
+                let full = if single { name.to_owned() } else { format!("{name}.{n}") };
+                self.push(full, spec, Source::Computed)
+            })
+            .collect();
+        if self.stages.is_empty() {
+            self.begin_stage("all");
+        }
+        self.nodes.push(Node {
+            op: Box::new(op),
+            inputs: inputs.to_vec(),
+            outputs: outputs.clone(),
+            stage: self.stages.len() - 1,
+        });
+        Ok(outputs)
+    }
+
+    /// [`Graph::apply`] for an operation with one output.
+    ///
+    /// # Errors
+    /// As [`Graph::apply`], and [`Error::Tensor`] if there is not exactly one output.
+    pub fn apply1(
+        &mut self,
+        name: &str,
+        op: impl Op + 'static,
+        inputs: &[TensorId],
+    ) -> Result<TensorId> {
+        let outputs = self.apply(name, op, inputs)?;
+        match outputs[..] {
+            [only] => Ok(only),
+            _ => Err(Error::tensor("graph", name, "one output", outputs.len())),
+        }
+    }
+
+    /// Gives a tensor the name under which dumps list it.
+    pub fn rename(&mut self, id: TensorId, name: &str) {
+        self.tensors[id.0].name = name.into();
+    }
+
+    /// Marks a tensor to be read back after each run.
+    pub fn mark_output(&mut self, id: TensorId) {
+        self.outputs.push(id);
+    }
+
+    /// Shape and element type of a tensor.
+    pub fn spec(&self, id: TensorId) -> &TensorSpec {
+        &self.tensors[id.0].spec
+    }
+
+    /// Name of a tensor.
+    pub fn name(&self, id: TensorId) -> &str {
+        &self.tensors[id.0].name
+    }
+
+    /// Writes the dispatches of every node. Tensors keep their ids; those in `keep` are read back
+    /// beside the outputs.
+    ///
+    /// # Errors
+    /// What the operations return.
+    pub fn record(&self, keep: &[TensorId]) -> Result<Recording> {
+        let mut recording = Recording::default();
+        for tensor in &self.tensors {
+            let role = match &tensor.source {
+                Source::Input => Role::Input,
+                Source::Constant(value) => Role::Constant(value.clone()),
+                Source::Computed => Role::Transient,
+            };
+            recording.tensor(&tensor.name, tensor.spec.clone(), role);
+        }
+        for id in self.outputs.iter().chain(keep) {
+            recording.mark_output(*id);
+        }
+        for node in &self.nodes {
+            recording.begin_stage(&self.stages[node.stage]);
+            node.op.record(&mut recording, &node.inputs, &node.outputs)?;
+        }
+        Ok(recording)
+    }
+
+    /// Runs the references. Returns the outputs and the tensors in `keep`, and the time by stage.
+    ///
+    /// # Errors
+    /// [`Error::Tensor`] for a missing or misshapen input, or what the operations return.
+    pub fn reference(
+        &self,
+        inputs: &[(TensorId, &Value)],
+        keep: &[TensorId],
+    ) -> Result<(HashMap<TensorId, Value>, Vec<StageTime>)> {
+        let mut values: HashMap<TensorId, Value> = HashMap::new();
+        for (index, tensor) in self.tensors.iter().enumerate() {
+            if !matches!(tensor.source, Source::Input) {
+                continue;
+            }
+            let given = inputs.iter().find(|(id, _)| id.0 == index);
+            match given {
+                Some((id, value)) if value.spec() == tensor.spec => {
+                    values.insert(*id, (*value).clone());
+                }
+                _ => {
+                    let got = given.map_or("nothing".into(), |(_, v)| v.spec().to_string());
+                    return Err(Error::tensor("reference", &tensor.name, &tensor.spec, got));
+                }
+            }
+        }
+        let mut last_use = vec![0; self.tensors.len()];
+        for (step, node) in self.nodes.iter().enumerate() {
+            for id in &node.inputs {
+                last_use[id.0] = step;
+            }
+        }
+        let wanted = |id: &TensorId| self.outputs.contains(id) || keep.contains(id);
+        let mut times: Vec<StageTime> = self
+            .stages
+            .iter()
+            .map(|s| StageTime { stage: s.clone(), time: Duration::ZERO })
+            .collect();
+        for (step, node) in self.nodes.iter().enumerate() {
+            let start = Instant::now();
+            let mut read = Vec::with_capacity(node.inputs.len());
+            for id in &node.inputs {
+                let constant = match &self.tensors[id.0].source {
+                    Source::Constant(value) => Some(value.as_ref()),
+                    _ => values.get(id),
+                };
+                read.push(constant.ok_or_else(|| {
+                    Error::tensor(node.op.name(), self.name(*id), "a value", "nothing yet")
+                })?);
+            }
+            let produced = node.op.reference(&read)?;
+            for (id, value) in node.outputs.iter().zip(produced) {
+                values.insert(*id, value);
+            }
+            for id in &node.inputs {
+                if last_use[id.0] == step && !wanted(id) {
+                    values.remove(id);
+                }
+            }
+            times[node.stage].time += start.elapsed();
+        }
+        values.retain(|id, _| wanted(id));
+        Ok((values, times))
+    }
+
+    /// Every tensor that a node computes, in order.
+    pub fn computed(&self) -> Vec<TensorId> {
+        self.nodes.iter().flat_map(|n| n.outputs.iter().copied()).collect()
+    }
+}

@@ -1,0 +1,77 @@
+//! SAFE-Net: ResNet-34 with a CBAM after conv1 and after each of its four stages.
+
+use crate::error::Result;
+use crate::gpu::TensorId;
+use crate::graph::Graph;
+use crate::model::cbam::cbam;
+use crate::model::layers::conv_bn;
+use crate::model::weights::Weights;
+use crate::ops::{Conv2d, MaxPool2d};
+
+/// Output channels and number of basic blocks of conv2_x to conv5_x.
+const STAGES: [(usize, usize); 4] = [(64, 3), (128, 4), (256, 6), (512, 3)];
+
+/// Appends the backbone to `input` `[3, S, S]`; returns the outputs of conv3_x, conv4_x and conv5_x
+/// with their attention: 128, 256 and 512 channels at strides 8, 16 and 32.
+pub(super) fn backbone(
+    graph: &mut Graph,
+    weights: &mut Weights,
+    input: TensorId,
+) -> Result<[TensorId; 3]> {
+    let attention = weights.config().variant.safe;
+    graph.begin_stage("backbone.conv1");
+    let conv1 = Conv2d { stride: 2, padding: 3, relu: true, ..Conv2d::default() };
+    let names = ("backbone.conv1", "backbone.bn1");
+    let mut x = conv_bn(graph, weights, names, conv1, [64, 3, 7, 7], &[input])?;
+    if attention {
+        x = cbam(graph, weights, "backbone.cbam1", x)?;
+    }
+    let pool = MaxPool2d { kernel: 3, stride: 2, padding: 1 };
+    x = graph.apply1("backbone.maxpool", pool, &[x])?;
+    let mut in_channels = 64;
+    let mut features = Vec::new();
+    for (index, (channels, blocks)) in STAGES.into_iter().enumerate() {
+        let name = format!("backbone.layer{}", index + 1);
+        graph.begin_stage(&name);
+        for block in 0..blocks {
+            let stride = if index > 0 && block == 0 { 2 } else { 1 };
+            let block = format!("{name}.{block}");
+            x = basic_block(graph, weights, &block, x, (in_channels, channels), stride)?;
+            in_channels = channels;
+        }
+        graph.rename(x, &name);
+        if attention {
+            x = cbam(graph, weights, &format!("backbone.cbam{}", index + 2), x)?;
+        }
+        features.push(x);
+    }
+    Ok([features[1], features[2], features[3]])
+}
+
+/// ResNet's basic block: two 3×3 convolutions and a shortcut, which is a strided 1×1 convolution
+/// where the shape changes.
+fn basic_block(
+    graph: &mut Graph,
+    weights: &mut Weights,
+    name: &str,
+    input: TensorId,
+    (in_channels, channels): (usize, usize),
+    stride: usize,
+) -> Result<TensorId> {
+    let of = |part: &str| format!("{name}.{part}");
+    let conv = Conv2d { padding: 1, relu: true, ..Conv2d::default() };
+    let first = Conv2d { stride, ..conv };
+    let shape = [channels, in_channels, 3, 3];
+    let x = conv_bn(graph, weights, (&of("conv1"), &of("bn1")), first, shape, &[input])?;
+    let shortcut = if stride != 1 || in_channels != channels {
+        let names = (of("downsample.0"), of("downsample.1"));
+        let down = Conv2d { stride, ..Conv2d::default() };
+        let shape = [channels, in_channels, 1, 1];
+        conv_bn(graph, weights, (&names.0, &names.1), down, shape, &[input])?
+    } else {
+        input
+    };
+    let second = Conv2d { residual: true, ..conv };
+    let shape = [channels, channels, 3, 3];
+    conv_bn(graph, weights, (&of("conv2"), &of("bn2")), second, shape, &[x, shortcut])
+}

@@ -1,0 +1,119 @@
+//! MSFF-Net and RW-Net: three scales brought to one size and summed by learned weights.
+
+use crate::error::{Error, Result};
+use crate::gpu::TensorId;
+use crate::graph::Graph;
+use crate::model::cbam::cbam;
+use crate::model::layers::{conv_bn, convolve};
+use crate::model::weights::{Folded, Weights};
+use crate::ops::{Conv2d, GlobalAvgPool, ScaleWeights, UpsampleBilinear, WeightedSum};
+use crate::tensor::Tensor;
+
+/// Channels of each scale after its convolution, and of the fused map.
+pub(super) const CHANNELS: usize = 256;
+/// Channels to which RW-Net reduces each scale.
+const REDUCED: usize = 64;
+
+/// A scale's input channels and dilation. The paper gives the two deeper scales a 5×5 field, read
+/// as a 3×3 kernel with dilation 2.
+const SCALES: [(usize, usize); 3] = [(128, 1), (256, 2), (512, 2)];
+
+/// Appends the fusion of `features`; returns the fused map `[256, S/8, S/8]` and, with RW-Net, the
+/// weights of the scales `[3]`.
+pub(super) fn fusion(
+    graph: &mut Graph,
+    weights: &mut Weights,
+    features: [TensorId; 3],
+) -> Result<(TensorId, Option<TensorId>)> {
+    graph.begin_stage("fusion");
+    let size = graph.spec(features[0]).shape.0.clone();
+    let mut maps = Vec::new();
+    for (i, (feature, (channels, dilation))) in features.into_iter().zip(SCALES).enumerate() {
+        let name = format!("fusion.branch{}", i + 1);
+        let op = Conv2d { padding: dilation, dilation, relu: true, ..Conv2d::default() };
+        let names = (format!("{name}.conv"), format!("{name}.bn"));
+        let shape = [CHANNELS, channels, 3, 3];
+        let x = conv_bn(graph, weights, (&names.0, &names.1), op, shape, &[feature])?;
+        let x = cbam(graph, weights, &format!("{name}.cbam"), x)?;
+        let up = UpsampleBilinear { out_height: size[1], out_width: size[2] };
+        let x = match i {
+            0 => x,
+            _ => graph.apply1(&name, up, &[x])?,
+        };
+        graph.rename(x, &name);
+        maps.push(x);
+    }
+    match weights.config().variant.rw {
+        true => {
+            let scales = scale_weights(graph, weights, &maps)?;
+            let inputs = [scales, maps[0], maps[1], maps[2]];
+            Ok((graph.apply1("fusion.fused", WeightedSum { maps: 3 }, &inputs)?, Some(scales)))
+        }
+        false => Ok((reduce_concatenation(graph, weights, &maps)?, None)),
+    }
+}
+
+/// RW-Net: 1×1 convolution and average of each scale, an MLP over all three, softmax.
+///
+/// Convolution and average are both linear, as is the MLP's first layer, and the paper puts nothing
+/// between them: so the maps are averaged first, and the 1×1 convolutions are folded into that
+/// layer when loading, in f64. It then reads the three averages side by side.
+fn scale_weights(graph: &mut Graph, weights: &mut Weights, maps: &[TensorId]) -> Result<TensorId> {
+    graph.begin_stage("reweight");
+    let fc1 = weights.take_biased("reweight.fc1", [REDUCED, 3 * REDUCED])?;
+    let fc2 = weights.take_biased("reweight.fc2", [3, REDUCED])?;
+    let mut sums = vec![0f64; REDUCED * 3 * CHANNELS];
+    let mut bias: Vec<f64> = fc1.bias.data().iter().map(|b| f64::from(*b)).collect();
+    for scale in 0..3 {
+        let name = format!("reweight.reduce{}", scale + 1);
+        let reduce = weights.take_biased(&name, [REDUCED, CHANNELS, 1, 1])?;
+        for hidden in 0..REDUCED {
+            let row = &fc1.weight.data()[hidden * 3 * REDUCED + scale * REDUCED..][..REDUCED];
+            let to = &mut sums[hidden * 3 * CHANNELS + scale * CHANNELS..][..CHANNELS];
+            for (k, w) in row.iter().enumerate() {
+                let w = f64::from(*w);
+                bias[hidden] += w * f64::from(reduce.bias.data()[k]);
+                for (sum, r) in to.iter_mut().zip(&reduce.weight.data()[k * CHANNELS..]) {
+                    *sum += w * f64::from(*r);
+                }
+            }
+        }
+    }
+    let fc1_weight = Tensor::from_fn([REDUCED, 3 * CHANNELS], |i| sums[i] as f32);
+    let fc1_bias = Tensor::from_fn([REDUCED], |i| bias[i] as f32);
+    let pooled = graph.apply1("reweight.pool", GlobalAvgPool { maps: 3 }, maps)?;
+    let inputs = [
+        pooled,
+        graph.constant("reweight.fc1.weight", fc1_weight),
+        graph.constant("reweight.fc1.bias", fc1_bias),
+        graph.constant("reweight.fc2.weight", fc2.weight),
+        graph.constant("reweight.fc2.bias", fc2.bias),
+    ];
+    graph.apply1("reweight.weights", ScaleWeights, &inputs)
+}
+
+/// Without RW-Net: a 1×1 convolution of the concatenated scales to 256 channels, as the sum of one
+/// convolution a scale, so that nothing is copied together.
+fn reduce_concatenation(
+    graph: &mut Graph,
+    weights: &mut Weights,
+    maps: &[TensorId],
+) -> Result<TensorId> {
+    let total = weights.take_biased("fusion.reduce", [CHANNELS, 3 * CHANNELS, 1, 1])?;
+    let mut sum = None;
+    for (scale, map) in maps.iter().enumerate() {
+        let weight = Tensor::from_fn([CHANNELS, CHANNELS, 1, 1], |i| {
+            let (out, channel) = (i / CHANNELS, i % CHANNELS);
+            total.weight.data()[(out * 3 + scale) * CHANNELS + channel]
+        });
+        let bias = match scale {
+            0 => total.bias.clone(),
+            _ => Tensor::zeros([CHANNELS]),
+        };
+        let op = Conv2d { residual: sum.is_some(), ..Conv2d::default() };
+        let inputs: Vec<_> = [*map].into_iter().chain(sum).collect();
+        let name = if scale == 2 { "fusion.fused" } else { "fusion.reduce" };
+        sum = Some(convolve(graph, name, op, Folded { weight, bias }, &inputs)?);
+    }
+    sum.ok_or_else(|| Error::tensor("fusion", "maps", "three scales", 0))
+}

@@ -1,0 +1,88 @@
+//! SMR-Net, stage by stage: backbone with attention, fusion, proposals, RoI head.
+
+mod backbone;
+mod cbam;
+mod config;
+mod fusion;
+mod layers;
+mod roi_head;
+mod rpn;
+mod weights;
+
+pub use config::{ModelConfig, Variant};
+pub use roi_head::Thresholds;
+pub use weights::Weights;
+
+use crate::error::Result;
+use crate::gpu::TensorId;
+use crate::graph::Graph;
+use crate::ops::CropResize;
+use crate::shape::TensorSpec;
+
+/// The whole network as a graph, with the ids of what goes in and comes out.
+#[derive(Debug)]
+pub struct Network {
+    /// The operations.
+    pub graph: Graph,
+    /// The configuration that the weights carry.
+    pub config: ModelConfig,
+    /// Input: packed RGBA pixels, u32 `[capacity]`.
+    pub picture: TensorId,
+    /// Input: picture width and height, then x, y and side of the square crop, u32 `[5]`.
+    pub crop: TensorId,
+    /// Output: boxes in pixels of the network's input, `[N, 4]`.
+    pub boxes: TensorId,
+    /// Output: scores `[N]`.
+    pub scores: TensorId,
+    /// Output: classes `[N]`, 1 for the first of `config.classes`.
+    pub classes: TensorId,
+    /// Output: how many of the N there are, `[1]`.
+    pub count: TensorId,
+    /// Output: how many proposals the RoI head saw, `[1]`.
+    pub proposal_count: TensorId,
+    /// Outputs that hold a value that is not finite if any stage made one.
+    pub witnesses: Vec<TensorId>,
+}
+
+impl Network {
+    /// Builds the network from `weights` for pictures of at most `capacity` pixels.
+    ///
+    /// # Errors
+    /// [`crate::Error::Weights`] for tensors that are missing, misshapen or left over.
+    pub fn new(mut weights: Weights, capacity: usize, thresholds: Thresholds) -> Result<Self> {
+        let config = weights.config().clone();
+        let mut graph = Graph::default();
+        let picture = graph.input("picture", TensorSpec::u32([capacity]));
+        let crop = graph.input("crop", TensorSpec::u32([5]));
+        graph.begin_stage("input");
+        let resize = CropResize { size: config.input_size, mean: config.mean, std: config.std };
+        let input = graph.apply1("input", resize, &[picture, crop])?;
+        let features = backbone::backbone(&mut graph, &mut weights, input)?;
+        let (fused, scales) = match config.variant.msff {
+            true => fusion::fusion(&mut graph, &mut weights, features)?,
+            // The ablation without MSFF-Net: conv4_x alone, which has 256 channels at stride 16.
+            false => (features[1], None),
+        };
+        let proposals = rpn::rpn(&mut graph, &mut weights, fused)?;
+        let head = roi_head::roi_head(&mut graph, &mut weights, fused, proposals, thresholds)?;
+        weights.finish()?;
+        let mut witnesses = vec![proposals.logits];
+        witnesses.extend(scales);
+        let outputs = [head.boxes, head.scores, head.classes, head.count, proposals.count];
+        for id in outputs.iter().chain(&witnesses) {
+            graph.mark_output(*id);
+        }
+        Ok(Self {
+            graph,
+            config,
+            picture,
+            crop,
+            boxes: head.boxes,
+            scores: head.scores,
+            classes: head.classes,
+            count: head.count,
+            proposal_count: proposals.count,
+            witnesses,
+        })
+    }
+}

@@ -1,0 +1,60 @@
+//! The region proposal network: where on the fused map there may be a snap.
+//!
+//! The fusion replaces the RPN's own 3×3 convolution, so class and box are 1×1 convolutions on the
+//! fused map. Order, box coding, clipping and limits follow torchvision.
+
+use crate::error::Result;
+use crate::gpu::TensorId;
+use crate::graph::Graph;
+use crate::model::fusion::CHANNELS;
+use crate::model::layers::conv;
+use crate::model::weights::Weights;
+use crate::ops::{Conv2d, DecodeProposals, GatherRows, Nms, TopK};
+
+/// Proposals that enter the non-maximum suppression.
+const BEFORE_NMS: usize = 1000;
+/// Proposals that may leave it.
+pub(super) const AFTER_NMS: usize = 100;
+/// Intersection over union above which the lower of two proposals goes.
+const IOU: f32 = 0.7;
+/// Smallest side of a proposal, in pixels of the network's input.
+const MIN_SIZE: f32 = 1e-3;
+
+/// Boxes `[100, 4]` in pixels of the network's input, best first, and how many there are.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Proposals {
+    pub boxes: TensorId,
+    pub count: TensorId,
+    /// Objectness logits of the candidates before NMS.
+    pub logits: TensorId,
+}
+
+/// Appends the RPN on the fused map.
+pub(super) fn rpn(graph: &mut Graph, weights: &mut Weights, fused: TensorId) -> Result<Proposals> {
+    graph.begin_stage("rpn");
+    let config = weights.config().clone();
+    let anchors = config.cell_anchors();
+    let (a, size) = (anchors.len(), config.input_size);
+    let head = Conv2d::default();
+    let scores = conv(graph, weights, "rpn.cls", head, [a, CHANNELS, 1, 1], fused)?;
+    let deltas = conv(graph, weights, "rpn.bbox", head, [4 * a, CHANNELS, 1, 1], fused)?;
+
+    graph.begin_stage("proposals");
+    let best = graph.apply("rpn.top_k", TopK { k: BEFORE_NMS, count: false }, &[scores])?;
+    let (logits, indices, count) = (best[0], best[1], best[2]);
+    let decode = DecodeProposals { anchors, stride: config.stride(), width: size, height: size };
+    let decoded = graph.apply("rpn.decode", decode, &[deltas, logits, indices, count])?;
+    let nms = Nms {
+        iou_threshold: IOU,
+        max_out: AFTER_NMS,
+        min_size: MIN_SIZE,
+        sorted: true,
+        count: true,
+        ..Nms::default()
+    };
+    let kept = graph.apply("rpn.nms", nms, &[decoded[0], decoded[1], count])?;
+    let boxes = graph.apply1("proposals", GatherRows {}, &[decoded[0], kept[0], kept[1]])?;
+    graph.apply1("proposal_scores", GatherRows {}, &[decoded[1], kept[0], kept[1]])?;
+    graph.rename(kept[1], "proposal_count");
+    Ok(Proposals { boxes, count: kept[1], logits })
+}

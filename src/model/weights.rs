@@ -1,0 +1,211 @@
+//! Reading a weight file: safetensors, names as in PyTorch's state dict, f16 or f32.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use rand::{RngExt, SeedableRng};
+use safetensors::{Dtype, SafeTensors};
+
+use crate::error::{Error, Result};
+use crate::model::config::ModelConfig;
+use crate::shape::Shape;
+use crate::tensor::Tensor;
+
+/// Epsilon of PyTorch's batch norm.
+const BN_EPS: f64 = 1e-5;
+
+/// The tensors of a weight file and its configuration. Building a network takes the tensors out one
+/// by one, so what is missing, misshapen or left over is noticed.
+#[derive(Clone, Debug)]
+pub struct Weights {
+    file: PathBuf,
+    config: ModelConfig,
+    tensors: Source,
+}
+
+#[derive(Clone, Debug)]
+enum Source {
+    File(BTreeMap<String, Tensor>),
+    Random(u64),
+}
+
+/// A convolution with its batch norm folded in: weight `[O, I, kh, kw]`, bias `[O]`.
+#[derive(Clone, Debug)]
+pub struct Folded {
+    /// Weight, scaled by the batch norm.
+    pub weight: Tensor,
+    /// Bias.
+    pub bias: Tensor,
+}
+
+impl Weights {
+    /// Reads a weight file.
+    ///
+    /// # Errors
+    /// [`Error::Weights`] if it cannot be read, is truncated, has no valid `config`, or holds a
+    /// value that is not finite.
+    pub fn open(path: &Path) -> Result<Self> {
+        let bytes = std::fs::read(path)
+            .map_err(|e| Error::Weights { file: path.into(), message: e.to_string() })?;
+        Self::from_bytes(path, &bytes)
+    }
+
+    /// Reads weights from memory; `name` stands for the file in messages.
+    ///
+    /// # Errors
+    /// As [`Weights::open`].
+    pub fn from_bytes(name: &Path, bytes: &[u8]) -> Result<Self> {
+        let fail = |message: String| Error::Weights { file: name.into(), message };
+        let (_, header) = SafeTensors::read_metadata(bytes)
+            .map_err(|e| fail(format!("not a whole safetensors file: {e}")))?;
+        let text = header.metadata().as_ref().and_then(|m| m.get("config"));
+        let text = text.ok_or_else(|| fail("metadata: expected `config`, got none".into()))?;
+        let config = ModelConfig::parse(text).map_err(fail)?;
+        let parsed = SafeTensors::deserialize(bytes)
+            .map_err(|e| fail(format!("not a whole safetensors file: {e}")))?;
+        let mut tensors = BTreeMap::new();
+        for (tensor_name, view) in parsed.iter() {
+            let data: Vec<f32> = match view.dtype() {
+                Dtype::F16 => bytemuck::pod_collect_to_vec::<u8, half::f16>(view.data())
+                    .into_iter()
+                    .map(half::f16::to_f32)
+                    .collect(),
+                Dtype::F32 => bytemuck::pod_collect_to_vec(view.data()),
+                other => {
+                    let message =
+                        format!("tensor `{tensor_name}`: expected F16 or F32, got {other:?}");
+                    return Err(fail(message));
+                }
+            };
+            if let Some(at) = data.iter().position(|v| !v.is_finite()) {
+                let got = data[at];
+                let message =
+                    format!("tensor `{tensor_name}`: expected finite values, got {got} at {at}");
+                return Err(fail(message));
+            }
+            let tensor = Tensor::new(Shape(view.shape().to_vec()), data)?;
+            tensors.insert(tensor_name.to_owned(), tensor);
+        }
+        Ok(Self { file: name.into(), config, tensors: Source::File(tensors) })
+    }
+
+    /// Untrained weights for any variant, the same for the same seed on every machine: for tests
+    /// and benchmarks, whose subject is not what the network finds. Scaled so that activations
+    /// neither vanish nor grow.
+    pub fn random(config: ModelConfig, seed: u64) -> Self {
+        Self { file: "random weights".into(), config, tensors: Source::Random(seed) }
+    }
+
+    /// The same weights for another input size: the network is fully convolutional up to the RoI
+    /// head, which sees boxes.
+    ///
+    /// # Errors
+    /// [`Error::Param`] if `input_size` is not a multiple of 32 from 32 to 2048.
+    pub fn with_input_size(mut self, input_size: usize) -> Result<Self> {
+        self.config.input_size = input_size;
+        self.config.check().map_err(|_| {
+            Error::param("weights", "input_size", "a multiple of 32 from 32 to 2048", input_size)
+        })?;
+        Ok(self)
+    }
+
+    /// The network's configuration.
+    pub fn config(&self) -> &ModelConfig {
+        &self.config
+    }
+
+    fn fail(&self, message: String) -> Error {
+        Error::Weights { file: self.file.clone(), message }
+    }
+
+    /// Takes a tensor out.
+    ///
+    /// # Errors
+    /// [`Error::Weights`] if it is missing or has another shape.
+    pub fn take(&mut self, name: &str, shape: impl Into<Shape>) -> Result<Tensor> {
+        let shape = shape.into();
+        let tensors = match &mut self.tensors {
+            Source::File(tensors) => tensors,
+            Source::Random(seed) => {
+                *seed = seed.wrapping_add(1);
+                return Ok(random_tensor(name, shape, *seed));
+            }
+        };
+        match tensors.remove(name) {
+            None => Err(self.fail(format!("tensor `{name}`: expected {shape}, got none"))),
+            Some(t) if *t.shape() != shape => {
+                Err(self.fail(format!("tensor `{name}`: expected {shape}, got {}", t.shape())))
+            }
+            Some(t) => Ok(t),
+        }
+    }
+
+    /// Takes the convolution `conv` without bias and the batch norm `bn`, and folds them in f64:
+    /// with s = γ / √(σ² + ε), weight·s and β − μ·s.
+    ///
+    /// # Errors
+    /// As [`Weights::take`], and for a negative variance.
+    pub fn take_folded(&mut self, conv: &str, bn: &str, shape: impl Into<Shape>) -> Result<Folded> {
+        let mut weight = self.take(&format!("{conv}.weight"), shape)?;
+        let channels = weight.dims()[0];
+        let gamma = self.take(&format!("{bn}.weight"), [channels])?;
+        let beta = self.take(&format!("{bn}.bias"), [channels])?;
+        let mean = self.take(&format!("{bn}.running_mean"), [channels])?;
+        let var = self.take(&format!("{bn}.running_var"), [channels])?;
+        if let Some(v) = var.data().iter().find(|v| **v < 0.0) {
+            let message = format!("tensor `{bn}.running_var`: expected at least 0, got {v}");
+            return Err(self.fail(message));
+        }
+        let per_channel = weight.shape().elements() / channels.max(1);
+        let mut bias = Tensor::zeros([channels]);
+        for c in 0..channels {
+            let at = |t: &Tensor| f64::from(t.data()[c]);
+            let scale = at(&gamma) / (at(&var) + BN_EPS).sqrt();
+            for w in &mut weight.data_mut()[c * per_channel..(c + 1) * per_channel] {
+                *w = (f64::from(*w) * scale) as f32;
+            }
+            bias.data_mut()[c] = (at(&beta) - at(&mean) * scale) as f32;
+        }
+        Ok(Folded { weight, bias })
+    }
+
+    /// Takes a layer's weight and bias as they are.
+    ///
+    /// # Errors
+    /// As [`Weights::take`].
+    pub fn take_biased(&mut self, layer: &str, shape: impl Into<Shape>) -> Result<Folded> {
+        let weight = self.take(&format!("{layer}.weight"), shape)?;
+        let bias = self.take(&format!("{layer}.bias"), [weight.dims()[0]])?;
+        Ok(Folded { weight, bias })
+    }
+
+    /// Refuses tensors that the network has no place for.
+    ///
+    /// # Errors
+    /// [`Error::Weights`] that names the first and counts them.
+    pub fn finish(&self) -> Result<()> {
+        let Source::File(left) = &self.tensors else { return Ok(()) };
+        match left.keys().next() {
+            None => Ok(()),
+            Some(name) => {
+                let count = left.len();
+                let text =
+                    format!("tensor `{name}`: expected none of this name ({count} such tensors)");
+                Err(self.fail(text))
+            }
+        }
+    }
+}
+
+/// Weights with variance 2 / fan-in (He et al. 2015), unit scales and variances, small biases.
+fn random_tensor(name: &str, shape: Shape, seed: u64) -> Tensor {
+    let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
+    let fan_in: usize = shape.0.iter().skip(1).product();
+    let (middle, spread) = match (name.ends_with("running_var"), shape.rank()) {
+        (true, _) => (1.0, 0.5),
+        (_, 1) if name.ends_with("weight") => (1.0, 0.2),
+        (_, 1) => (0.0, 0.1),
+        _ => (0.0, (6.0 / fan_in as f32).sqrt()),
+    };
+    Tensor::from_fn(shape, |_| middle + spread * rng.random_range(-1.0..1.0f32))
+}

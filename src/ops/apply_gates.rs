@@ -1,0 +1,138 @@
+//! CBAM's gating.
+
+use crate::cpu;
+use crate::error::Result;
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::bounds::sum_error;
+use crate::ops::case::{Case, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, expect_inputs, map_dims};
+use crate::ops::params::Params as Named;
+use crate::shape::TensorSpec;
+use crate::tensor::Value;
+
+shader_params! {
+    struct Params {
+        channels: u32,
+        area: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "apply_gates",
+    source: include_str!("../../wgsl/apply_gates.wgsl"),
+    params: PARAMS,
+};
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "apply_gates", shader: &SHADER, build, cases };
+
+/// CBAM's result: the map times its channel gate, times its spatial gate.
+///
+/// Inputs: `input [C, H, W]`, `channel_gate [C]`, `spatial_gate [1, H, W]`. Output:
+/// `output [C, H, W]`.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ApplyGates;
+
+impl Op for ApplyGates {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        vec!["input", "channel_gate", "spatial_gate"]
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["output"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        expect_inputs(self, inputs.len())?;
+        let name = self.name();
+        let [channels, height, width] = map_dims(name, "input", &inputs[0])?;
+        expect(name, "channel_gate", &TensorSpec::f32([channels]), &inputs[1])?;
+        expect(name, "spatial_gate", &TensorSpec::f32([1, height, width]), &inputs[2])?;
+        Ok(vec![inputs[0].clone()])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
+        let params = Params { channels, area: height * width };
+        recording.dispatch(Dispatch {
+            shader: &SHADER,
+            entry: "main",
+            constants: vec![],
+            params: bytemuck::bytes_of(&params).to_vec(),
+            bindings: vec![
+                ("input", inputs[0]),
+                ("channel_gate", inputs[1]),
+                ("spatial_gate", inputs[2]),
+                ("output", outputs[0]),
+            ],
+            grid: Grid::linear(recording.info(outputs[0]).spec.shape.elements(), 64),
+        });
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        check_inputs(self, inputs)?;
+        let [input, channel, spatial] = [inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?];
+        Ok(vec![cpu::apply_gates(input, channel, spatial).into()])
+    }
+
+    /// Two products, and the reference's own rounding.
+    fn tolerance(&self, _inputs: &[&Value], reference: &[Value]) -> Result<Vec<Tolerance>> {
+        let results = reference[0].f32()?.data();
+        let each = results.iter().map(|y| sum_error(3, f64::from(y.abs())));
+        Ok(vec![Tolerance::Each(each.collect())])
+    }
+}
+
+fn build(_params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
+    Ok(Box::new(ApplyGates))
+}
+
+fn cases() -> Vec<Case> {
+    let mut cases = vec![
+        Case::new(
+            "two channels of two pixels by hand",
+            ApplyGates,
+            vec![
+                values([2, 1, 2], &[1.0, 2.0, -3.0, 4.0]),
+                values([2], &[0.5, 0.25]),
+                values([1, 1, 2], &[1.0, 0.5]),
+            ],
+        )
+        .by_hand(vec![values([2, 1, 2], &[0.5, 0.5, -0.75, 0.5])]),
+    ];
+    let shapes = [
+        ("one of everything", [1, 1, 1], 1.0),
+        ("prime sizes", [13, 17, 19], 1.0),
+        ("63 elements: a workgroup less one", [7, 3, 3], 1.0),
+        ("65 elements: a workgroup and one", [13, 1, 5], 1.0),
+        ("1e30", [3, 5, 7], 1e30),
+        ("1e-30", [3, 5, 7], 1e-30),
+    ];
+    for (i, (name, dims, scale)) in shapes.into_iter().enumerate() {
+        let seed = i as u64 * 10;
+        let inputs = vec![
+            random_scaled(seed, dims, scale),
+            random(seed + 1, [dims[0]]).into(),
+            random(seed + 2, [1, dims[1], dims[2]]).into(),
+        ];
+        cases.push(Case::new(name, ApplyGates, inputs));
+    }
+    // More workgroups than one dimension of a grid may have.
+    let inputs = vec![
+        random(90, [41, 320, 321]).into(),
+        random(91, [41]).into(),
+        random(92, [1, 320, 321]).into(),
+    ];
+    cases.push(Case::new("a grid folded to two dimensions", ApplyGates, inputs));
+    cases
+}

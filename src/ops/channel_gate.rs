@@ -1,0 +1,213 @@
+//! CBAM's channel gate.
+
+use crate::cpu;
+use crate::error::{Error, Result};
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::bounds::{magnitude, sigmoid_error, sum_error};
+use crate::ops::case::{Case, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, dims, expect, expect_inputs};
+use crate::ops::params::Params as Named;
+use crate::shape::{DType, TensorSpec};
+use crate::tensor::Value;
+
+shader_params! {
+    struct Params {
+        channels: u32,
+        hidden: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "channel_gate",
+    source: include_str!("../../wgsl/channel_gate.wgsl"),
+    params: PARAMS,
+};
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "channel_gate", shader: &SHADER, build, cases };
+
+/// Hidden units that fit in the shader's workgroup memory.
+const CAPACITY: usize = 1024;
+
+/// CBAM's channel gate: `sigmoid(f(average) + f(maximum))`, `f(x) = fc2(relu(fc1(x)))`.
+///
+/// Inputs: `pooled [2, C]` from [`ChannelPool`](crate::ops::ChannelPool), `fc1_weight [R, C]`,
+/// `fc1_bias [R]`, `fc2_weight [C, R]`, `fc2_bias [C]`, R at most 1024. Output: `output [C]`.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ChannelGate;
+
+impl Op for ChannelGate {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        vec!["pooled", "fc1_weight", "fc1_bias", "fc2_weight", "fc2_bias"]
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["output"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        expect_inputs(self, inputs.len())?;
+        let name = self.name();
+        let [rows, channels] = dims(name, "pooled", &inputs[0], DType::F32)?;
+        if rows != 2 || channels == 0 {
+            return Err(Error::tensor(name, "pooled", "[2, C] without a zero", &inputs[0]));
+        }
+        let [hidden, columns] = dims(name, "fc1_weight", &inputs[1], DType::F32)?;
+        if columns != channels || hidden == 0 {
+            let expected = format!("[R, {channels}] without a zero");
+            return Err(Error::tensor(name, "fc1_weight", expected, &inputs[1]));
+        }
+        expect(name, "fc1_bias", &TensorSpec::f32([hidden]), &inputs[2])?;
+        expect(name, "fc2_weight", &TensorSpec::f32([channels, hidden]), &inputs[3])?;
+        expect(name, "fc2_bias", &TensorSpec::f32([channels]), &inputs[4])?;
+        Ok(vec![TensorSpec::f32([channels])])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let [hidden, channels] = [0, 1].map(|i| recording.dims(inputs[1])[i]);
+        if hidden > CAPACITY {
+            return Err(Error::Capacity {
+                what: format!("{}: hidden units", self.name()),
+                needed: hidden as u64,
+                available: CAPACITY as u64,
+            });
+        }
+        let params = Params { channels: channels as u32, hidden: hidden as u32 };
+        let mut bindings: Vec<_> = self.inputs().into_iter().zip(inputs.iter().copied()).collect();
+        bindings.push(("output", outputs[0]));
+        recording.dispatch(Dispatch {
+            shader: &SHADER,
+            entry: "main",
+            constants: vec![],
+            params: bytemuck::bytes_of(&params).to_vec(),
+            bindings,
+            grid: Grid::Workgroups([1, 1, 1]),
+        });
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        check_inputs(self, inputs)?;
+        let [pooled, fc1_weight, fc1_bias, fc2_weight, fc2_bias] = f32s(inputs)?;
+        Ok(vec![cpu::channel_gate(pooled, fc1_weight, fc1_bias, fc2_weight, fc2_bias).into()])
+    }
+
+    /// Each layer is a sum of products, off by its own roundings and by what the layer before left;
+    /// ReLU does not enlarge that, and the logistic function divides it by 4. Two vectors go
+    /// through, so every layer counts twice.
+    fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        let sizes = inputs.iter().map(|v| magnitude(v)).collect::<Result<Vec<_>>>()?;
+        let [hidden, channels] = [0, 1].map(|i| sizes[1].dims()[i]);
+        let at = |t: usize, i: usize| f64::from(sizes[t].data()[i]);
+        // For each hidden unit: bound of its absolute value, and of its error.
+        let units: Vec<(f64, f64)> = (0..hidden)
+            .map(|r| {
+                let dot = |c| at(1, r * channels + c) * (at(0, c) + at(0, channels + c));
+                let size = (0..channels).map(dot).sum::<f64>() + 2.0 * at(2, r);
+                (size, sum_error(channels + 3, size))
+            })
+            .collect();
+        let each = (0..channels).map(|c| {
+            let weights = (0..hidden).map(|r| at(3, c * hidden + r));
+            let (mut size, mut error) = (2.0 * at(4, c), 0.0);
+            for (w, unit) in weights.zip(&units) {
+                size += w * unit.0;
+                error += w * unit.1;
+            }
+            sigmoid_error(error + sum_error(hidden + 3, size))
+        });
+        Ok(vec![Tolerance::Each(each.collect())])
+    }
+}
+
+/// The five tensors of an MLP.
+pub(super) fn f32s<'a>(inputs: &[&'a Value]) -> Result<[&'a crate::tensor::Tensor; 5]> {
+    Ok([inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?, inputs[3].f32()?, inputs[4].f32()?])
+}
+
+fn build(_params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
+    Ok(Box::new(ChannelGate))
+}
+
+fn cases() -> Vec<Case> {
+    // One hidden unit over two channels: average (1, 2), maximum (3, 4), fc1 = (1, −1) + 0.5.
+    // f hides relu(1 − 2 + 0.5) = 0 and relu(3 − 4 + 0.5) = 0, so only fc2's bias, twice, is left:
+    // sigmoid(0) and sigmoid(2 · ln 3 / 2) = 3/4.
+    let half_ln3 = 0.549_306_14;
+    let mut cases = vec![
+        Case::new(
+            "bias twice, by hand",
+            ChannelGate,
+            vec![
+                values([2, 2], &[1.0, 2.0, 3.0, 4.0]),
+                values([1, 2], &[1.0, -1.0]),
+                values([1], &[0.5]),
+                values([2, 1], &[7.0, -7.0]),
+                values([2], &[0.0, half_ln3]),
+            ],
+        )
+        .by_hand(vec![values([2], &[0.5, 0.75])]),
+        // fc1 = (1, 0) and (0, 1): hidden (1, 2) + (3, 0) after the ReLU of −4 for the maximum.
+        // fc2 rows (1, −2) and (1000, 1000): logits 4 − 4 = 0 and 6000, saturated.
+        Case::new(
+            "ReLU before the sum, saturated, by hand",
+            ChannelGate,
+            vec![
+                values([2, 2], &[1.0, 2.0, 3.0, -4.0]),
+                values([2, 2], &[1.0, 0.0, 0.0, 1.0]),
+                values([2], &[0.0, 0.0]),
+                values([2, 2], &[1.0, -2.0, 1000.0, 1000.0]),
+                values([2], &[0.0, 0.0]),
+            ],
+        )
+        .by_hand(vec![values([2], &[0.5, 1.0])]),
+        // sigmoid(±1e4) and of ±1e30: 0 and 1, no NaN.
+        Case::new(
+            "saturated by hand",
+            ChannelGate,
+            vec![
+                values([2, 4], &[0.0; 8]),
+                values([1, 4], &[1.0; 4]),
+                values([1], &[0.0]),
+                values([4, 1], &[1.0; 4]),
+                values([4], &[5e3, -5e3, 1e30, -1e30]),
+            ],
+        )
+        .by_hand(vec![values([4], &[1.0, 0.0, 1.0, 0.0])]),
+    ];
+    let mlp = |seed: u64, channels: usize, hidden: usize, scale: f32| -> Vec<Value> {
+        vec![
+            random_scaled(seed, [2, channels], scale),
+            random(seed + 1, [hidden, channels]).into(),
+            random(seed + 2, [hidden]).into(),
+            random(seed + 3, [channels, hidden]).into(),
+            random(seed + 4, [channels]).into(),
+        ]
+    };
+    let shapes = [
+        ("one of everything", 1, 1, 1.0),
+        ("as after conv1", 64, 4, 0.1),
+        ("as conv5_x", 512, 32, 0.02),
+        ("prime sizes", 31, 7, 0.1),
+        ("15 hidden units: a pass less one", 17, 15, 0.1),
+        ("17 hidden units: a pass and one", 15, 17, 0.1),
+        ("255 channels: a workgroup less one", 255, 3, 0.05),
+        ("257 channels: a workgroup and one", 257, 5, 0.05),
+        ("1024 hidden units", 3, 1024, 0.1),
+        ("1e-30", 16, 4, 1e-30),
+        ("1e30: saturated", 16, 4, 1e30),
+    ];
+    for (i, (name, channels, hidden, scale)) in shapes.into_iter().enumerate() {
+        cases.push(Case::new(name, ChannelGate, mlp(i as u64 * 10, channels, hidden, scale)));
+    }
+    cases
+}

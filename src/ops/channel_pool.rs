@@ -1,0 +1,122 @@
+//! CBAM's pooling over space.
+
+use crate::cpu;
+use crate::error::Result;
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::bounds::{magnitude, mean_error};
+use crate::ops::case::{Case, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect_inputs, map_dims};
+use crate::ops::params::Params as Named;
+use crate::shape::TensorSpec;
+use crate::tensor::{Tensor, Value};
+
+shader_params! {
+    struct Params {
+        channels: u32,
+        area: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "channel_pool",
+    source: include_str!("../../wgsl/channel_pool.wgsl"),
+    params: PARAMS,
+};
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "channel_pool", shader: &SHADER, build, cases };
+
+/// Average and maximum of each channel over space: what CBAM's channel gate looks at.
+///
+/// Input: `input [C, H, W]`. Output: `output [2, C]`, the averages in row 0, the maxima in row 1.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ChannelPool;
+
+impl Op for ChannelPool {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        vec!["input"]
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["output"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        expect_inputs(self, inputs.len())?;
+        let [channels, ..] = map_dims(self.name(), "input", &inputs[0])?;
+        Ok(vec![TensorSpec::f32([2, channels])])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
+        let params = Params { channels, area: height * width };
+        recording.dispatch(Dispatch {
+            shader: &SHADER,
+            entry: "main",
+            constants: vec![],
+            params: bytemuck::bytes_of(&params).to_vec(),
+            bindings: vec![("input", inputs[0]), ("output", outputs[0])],
+            grid: Grid::linear(channels as usize, 1),
+        });
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        check_inputs(self, inputs)?;
+        Ok(vec![cpu::channel_pool(inputs[0].f32()?).into()])
+    }
+
+    /// Averages as [`mean_error`] says; maxima are inputs, so exact.
+    fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        let sizes = magnitude(inputs[0])?;
+        let [channels, height, width] = [0, 1, 2].map(|i| sizes.dims()[i]);
+        let means = cpu::global_avg_pool(&sizes);
+        let averages = means.data().iter().map(|m| mean_error(height * width, f64::from(*m)));
+        Ok(vec![Tolerance::Each(averages.chain(vec![0.0; channels]).collect())])
+    }
+}
+
+fn build(_params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
+    Ok(Box::new(ChannelPool))
+}
+
+fn cases() -> Vec<Case> {
+    let mut cases = vec![
+        // (1 + 2 + 3 + 6) / 4 = 3; (−1 − 2 − 3 − 10) / 4 = −4, whose maximum is no zero.
+        Case::new(
+            "2x2 by hand",
+            ChannelPool,
+            vec![values([2, 2, 2], &[1.0, 2.0, 3.0, 6.0, -1.0, -2.0, -3.0, -10.0])],
+        )
+        .by_hand(vec![values([2, 2], &[3.0, -4.0, 6.0, -1.0])]),
+    ];
+    let shapes = [
+        ("one of everything", [1, 1, 1]),
+        ("63 pixels: a workgroup less one", [3, 9, 7]),
+        ("64 pixels: a workgroup", [3, 8, 8]),
+        ("65 pixels: a workgroup and one", [3, 5, 13]),
+        ("prime sizes", [17, 31, 37]),
+        ("deep and small, as conv5_x", [512, 10, 10]),
+        ("wide, as conv1", [5, 160, 160]),
+    ];
+    for (i, (name, dims)) in shapes.into_iter().enumerate() {
+        cases.push(Case::new(name, ChannelPool, vec![random(i as u64, dims).into()]));
+    }
+    let mut offset = random(90, [3, 160, 160]);
+    offset.data_mut().iter_mut().for_each(|x| *x += 1e4);
+    let last = Tensor::from_fn([1, 11, 13], |i| if i == 142 { 7.0 } else { -1.0 });
+    cases.push(Case::new("an offset of 1e4", ChannelPool, vec![offset.into()]));
+    cases.push(Case::new("maximum in the last pixel", ChannelPool, vec![last.into()]));
+    cases.push(Case::new("1e30", ChannelPool, vec![random_scaled(91, [3, 11, 13], 1e30)]));
+    cases.push(Case::new("1e-30", ChannelPool, vec![random_scaled(92, [3, 11, 13], 1e-30)]));
+    cases
+}

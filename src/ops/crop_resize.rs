@@ -1,0 +1,277 @@
+//! A square crop of a picture, resized and normalised.
+
+use crate::cpu::{self, Crop};
+use crate::error::{Error, Result};
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::case::{Case, values};
+use crate::ops::op::{EPS, Entry, Op, Tolerance, check_inputs, dims, expect, expect_inputs};
+use crate::ops::params::Params as Named;
+use crate::shape::{DType, TensorSpec};
+use crate::tensor::{Tensor, Value};
+
+shader_params! {
+    struct Params {
+        size: u32,
+        capacity: u32,
+        mean_r: f32,
+        mean_g: f32,
+        mean_b: f32,
+        std_r: f32,
+        std_g: f32,
+        std_b: f32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "crop_resize",
+    source: include_str!("../../wgsl/crop_resize.wgsl"),
+    params: PARAMS,
+};
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "crop_resize", shader: &SHADER, build, cases };
+
+/// Largest output size and crop side: the shader's positions, products of the two, stay below 2³².
+const MAX_SIZE: usize = 16_384;
+const MAX_SIDE: usize = 65_535;
+
+/// `(pixel / 255 − mean) / std` of a square crop, resized with antialiased bilinear weights.
+///
+/// Inputs: `picture u32[capacity]`, RGBA8 with red in the low byte, row-major, rows without
+/// padding, perhaps with unused words behind it; `crop u32[5]` from [`Crop::to_tensor`]. As the
+/// geometry is data, one plan serves pictures of every size up to the capacity. Output:
+/// `output [3, size, size]`.
+#[derive(Clone, Copy, Debug)]
+pub struct CropResize {
+    /// Length of the output's edges.
+    pub size: usize,
+    /// Mean of each channel in [0, 1].
+    pub mean: [f32; 3],
+    /// Standard deviation of each channel, positive.
+    pub std: [f32; 3],
+}
+
+impl Crop {
+    /// The crop as [`CropResize`] takes it, for a picture buffer of `capacity` words.
+    ///
+    /// # Errors
+    /// [`Error::Param`] if the crop is empty, larger than the shader can address, or not inside the
+    /// picture; [`Error::Capacity`] if the picture is larger than the buffer.
+    pub fn to_tensor(&self, capacity: usize) -> Result<Tensor<u32>> {
+        let Self { width, height, x, y, side } = *self;
+        let inside = |at: usize, length: usize| at <= length && side <= length - at;
+        if side == 0 || side > MAX_SIDE || !inside(x, width) || !inside(y, height) {
+            let expected = format!("a square of 1 to {MAX_SIDE} pixels inside {width}×{height}");
+            let got = format!("side {side} at ({x}, {y})");
+            return Err(Error::param(ENTRY.name, "crop", expected, got));
+        }
+        let words = width as u64 * height as u64;
+        if words > capacity as u64 {
+            let what = format!("pixels for a {width}×{height} picture");
+            return Err(Error::Capacity { what, needed: words, available: capacity as u64 });
+        }
+        let numbers = [width, height, x, y, side].map(|n| n as u32);
+        Ok(Tensor::from_fn([5], |i| numbers[i]))
+    }
+
+    /// Reads [`Crop::to_tensor`]'s words back and checks them again.
+    ///
+    /// # Errors
+    /// As [`Crop::to_tensor`].
+    fn from_tensor(words: &Tensor<u32>, capacity: usize) -> Result<Self> {
+        let [width, height, x, y, side] = [0, 1, 2, 3, 4].map(|i| words.data()[i] as usize);
+        let crop = Self { width, height, x, y, side };
+        crop.to_tensor(capacity).map(|_| crop)
+    }
+}
+
+impl CropResize {
+    fn parts<'a>(&self, inputs: &[&'a Value]) -> Result<(&'a Tensor<u32>, Crop)> {
+        let picture = inputs[0].u32()?;
+        Ok((picture, Crop::from_tensor(inputs[1].u32()?, picture.data().len())?))
+    }
+}
+
+impl Op for CropResize {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        vec!["picture", "crop"]
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["output"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        expect_inputs(self, inputs.len())?;
+        let name = self.name();
+        if !(1..=MAX_SIZE).contains(&self.size) {
+            return Err(Error::param(name, "size", format!("1 to {MAX_SIZE}"), self.size));
+        }
+        if !self.mean.iter().all(|m| m.is_finite()) {
+            return Err(Error::param(name, "mean", "finite", format!("{:?}", self.mean)));
+        }
+        if !self.std.iter().all(|s| s.is_finite() && *s > 0.0) {
+            return Err(Error::param(name, "std", "positive", format!("{:?}", self.std)));
+        }
+        let [capacity] = dims(name, "picture", &inputs[0], DType::U32)?;
+        if capacity == 0 {
+            return Err(Error::tensor(name, "picture", "at least one pixel", &inputs[0]));
+        }
+        expect(name, "crop", &TensorSpec::u32([5]), &inputs[1])?;
+        Ok(vec![TensorSpec::f32([3, self.size, self.size])])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let [mean_r, mean_g, mean_b] = self.mean;
+        let [std_r, std_g, std_b] = self.std;
+        let params = Params {
+            size: self.size as u32,
+            capacity: recording.dims(inputs[0])[0] as u32,
+            mean_r,
+            mean_g,
+            mean_b,
+            std_r,
+            std_g,
+            std_b,
+        };
+        recording.dispatch(Dispatch {
+            shader: &SHADER,
+            entry: "main",
+            constants: vec![],
+            params: bytemuck::bytes_of(&params).to_vec(),
+            bindings: vec![("picture", inputs[0]), ("crop", inputs[1]), ("output", outputs[0])],
+            grid: Grid::linear(self.size * self.size, 64),
+        });
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        check_inputs(self, inputs)?;
+        let (picture, crop) = self.parts(inputs)?;
+        Ok(vec![cpu::crop_resize(picture, crop, self.size, self.mean, self.std).into()])
+    }
+
+    /// The resized value is a sum of at most n = rows + columns of positive terms in a row, divided
+    /// by two such sums of weights, so it is 2n + 16 roundings off in proportion to itself (three
+    /// products, a division of 2.5 ULP). The mean's subtraction and the division by std round
+    /// relative to |value| + |mean|, at most 6 times.
+    fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        let (picture, crop) = self.parts(inputs)?;
+        let resized = cpu::crop_resize(picture, crop, self.size, [0.0; 3], [1.0; 3]);
+        let taps = 2 * (2 * crop.side.div_ceil(self.size) + 1).min(crop.side);
+        let area = self.size * self.size;
+        let bound = |(i, value): (usize, &f32)| {
+            let (mean, std) = (self.mean[i / area], self.std[i / area]);
+            let value = f64::from(*value);
+            let roundings = (2 * taps + 16) as f64 * value + 6.0 * (value + f64::from(mean.abs()));
+            roundings * EPS / f64::from(std)
+        };
+        Ok(vec![Tolerance::Each(resized.data().iter().enumerate().map(bound).collect())])
+    }
+}
+
+fn build(params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
+    let mut three = |name: &str| {
+        let list: Vec<f32> = params.require_list(name)?;
+        let count = list.len();
+        <[f32; 3]>::try_from(list).map_err(|_| {
+            Error::param(ENTRY.name, name, "three numbers, for red, green and blue", count)
+        })
+    };
+    let (mean, std) = (three("mean")?, three("std")?);
+    Ok(Box::new(CropResize { size: params.require("size")?, mean, std }))
+}
+
+fn cases() -> Vec<Case> {
+    const RAW: CropResize = CropResize { size: 1, mean: [0.0; 3], std: [1.0; 3] };
+    let grey = |shades: &[u32]| -> Value {
+        Tensor::from_fn([shades.len()], |i| 0xff00_0000 | (shades[i] * 0x01_0101)).into()
+    };
+    let crop = |numbers: [u32; 5]| -> Value { Tensor::from_fn([5], |i| numbers[i]).into() };
+    // A pattern that differs between channels, without a random generator.
+    let pattern = |count: usize| -> Value {
+        Tensor::from_fn([count], |i| {
+            let [r, g, b] = [i * 37 + 11, i * 91 + 200, i * 53 + 5].map(|v| v as u32 % 256);
+            r | g << 8 | b << 16
+        })
+        .into()
+    };
+    let mut cases = vec![
+        // 2x2 to one: each pixel is half a pixel from the middle and weighs the same.
+        // (0 + 51 + 102 + 255) / 4 / 255 = 0.4.
+        Case::new("2x2 to 1 by hand", RAW, vec![grey(&[0, 51, 102, 255]), crop([2, 2, 0, 0, 2])])
+            .by_hand(vec![values([3, 1, 1], &[0.4, 0.4, 0.4])]),
+        // Rows of 4 to 2: the triangle reaches 2 pixels, centres at 1 and 3; the weights are 3/4,
+        // 3/4, 1/4 over 7/4. (3·0 + 3·35 + 70) / 7 = 25, (35 + 3·70 + 3·245) / 7 = 140. All four
+        // rows are equal. Then (25/255 − 5/51) / 0.1 = 0 and (140/255 − 5/51) / 0.1 = 230/51.
+        Case::new(
+            "4x4 to 2, normalised, by hand",
+            CropResize { size: 2, mean: [5.0 / 51.0; 3], std: [0.1; 3] },
+            vec![
+                grey(&std::array::from_fn::<u32, 16, _>(|i| [0, 35, 70, 245][i % 4])),
+                crop([4, 4, 0, 0, 4]),
+            ],
+        )
+        .by_hand(vec![values([3, 2, 2], &[0.0, 230.0 / 51.0].repeat(6))]),
+        // Red is the low byte; alpha does not count.
+        Case::new(
+            "channel order by hand",
+            RAW,
+            vec![Tensor::from_fn([1], |_| 0x0066_3300).into(), crop([1, 1, 0, 0, 1])],
+        )
+        .by_hand(vec![values([3, 1, 1], &[0.0, 0.2, 0.4])]),
+        // The numbers are PyTorch's, from `interpolate(…, antialias=True)` in f64.
+        Case::new(
+            "5x5 inside 7x6 to 3, PyTorch's numbers",
+            CropResize { size: 3, ..RAW },
+            vec![pattern(42), crop([7, 6, 1, 1, 5])],
+        )
+        .by_hand(vec![values(
+            [3, 3, 3],
+            &[
+                0.2672269, 0.4952381, 0.7232493, 0.2857143, 0.5137255, 0.7417367, 0.3042017,
+                0.5322129, 0.7602241, 0.5602241, 0.5792095, 0.35006, 0.5337691, 0.5616074,
+                0.3327109, 0.5232493, 0.5422347, 0.3130852, 0.5305322, 0.4109555, 0.610084,
+                0.4424525, 0.6451222, 0.5379396, 0.3703081, 0.5694367, 0.4498599,
+            ],
+        )]),
+        Case::new(
+            "2x2 inside 7x6 enlarged to 3, PyTorch's numbers",
+            CropResize { size: 3, ..RAW },
+            vec![pattern(42), crop([7, 6, 2, 0, 2])],
+        )
+        .by_hand(vec![values(
+            [3, 3, 3],
+            &[
+                0.3333333, 0.4058824, 0.4784314, 0.3392157, 0.4117647, 0.4843137, 0.345098,
+                0.4176471, 0.4901961, 0.4941177, 0.672549, 0.8509804, 0.7392157, 0.6666667,
+                0.5941177, 0.9843137, 0.6607843, 0.3372549, 0.4352941, 0.5392157, 0.6431372,
+                0.6607843, 0.5137255, 0.3666667, 0.8862745, 0.4882353, 0.0901961,
+            ],
+        )]),
+    ];
+    // (name, size, capacity, [width, height, x, y, side])
+    let shapes = [
+        ("one pixel enlarged to 17", 17, 1, [1, 1, 0, 0, 1]),
+        ("one pixel out of a line", 3, 8192, [1, 8192, 0, 4095, 1]),
+        ("same size", 13, 169, [13, 13, 0, 0, 13]),
+        ("63 outputs in a row, a buffer larger than the picture", 63, 5000, [71, 67, 4, 0, 67]),
+        ("lower right corner", 65, 31 * 29, [31, 29, 12, 10, 19]),
+        ("to a fifth, primes", 19, 101 * 97, [101, 97, 4, 0, 97]),
+        ("four megapixels to 31", 31, 2048 * 2048, [2048, 2048, 1, 1, 2047]),
+    ];
+    for (name, size, capacity, numbers) in shapes {
+        let op = CropResize { size, mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225] };
+        cases.push(Case::new(name, op, vec![pattern(capacity), crop(numbers)]));
+    }
+    cases
+}

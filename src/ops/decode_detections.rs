@@ -1,0 +1,301 @@
+//! Detections from the RoI head.
+
+use crate::cpu::{self, DetectionRule};
+use crate::error::{Error, Result};
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::boxes::{decode_bound, row};
+use crate::ops::case::{Case, integers, random, random_boxes, values};
+use crate::ops::count::{expect_count, live};
+use crate::ops::op::{Entry, Op, Tolerance, dims, expect, expect_inputs};
+use crate::ops::params::Params as Named;
+use crate::shape::{DType, TensorSpec};
+use crate::tensor::{Tensor, Value};
+
+shader_params! {
+    struct Params {
+        rois: u32,
+        classes: u32,
+        class_mask: u32,
+        picture_width: f32,
+        picture_height: f32,
+        weight_x: f32,
+        weight_y: f32,
+        weight_width: f32,
+        weight_height: f32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "decode_detections",
+    source: include_str!("../../wgsl/decode_detections.wgsl"),
+    params: PARAMS,
+};
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "decode_detections", shader: &SHADER, build, cases };
+
+/// Classes that the mask has bits for.
+const MAX_CLASSES: usize = 32;
+
+/// A box and a score for each region and class but the background, by region, then class.
+///
+/// Inputs: `rois` f32 `[R, 4]`; `deltas` f32 `[R, 4·classes]`, (dx, dy, dw, dh) of each class, the
+/// background first; `probabilities` f32 `[R, classes]`; `count` u32 `[1]`, regions in use. Outputs,
+/// with N = R · (classes − 1): `boxes` f32 `[N, 4]`, clipped to the picture; `scores` f32 `[N]`, −1
+/// where the class is not wanted; `classes` u32 `[N]`; `count` u32 `[1]`, how many of the N are
+/// written. The conventions are torchvision's `RoIHeads.postprocess_detections` before its
+/// thresholds, and its `BoxCoder`.
+#[derive(Clone, Copy, Debug)]
+pub struct DecodeDetections {
+    /// Width of the picture in pixels, to which boxes are clipped.
+    pub width: usize,
+    /// Height of the picture in pixels.
+    pub height: usize,
+    /// What (dx, dy, dw, dh) are divided by; torchvision's (10, 10, 5, 5) by default.
+    pub weights: [f32; 4],
+    /// Bit c: class c is wanted; all by default.
+    pub class_mask: u32,
+}
+
+impl Default for DecodeDetections {
+    fn default() -> Self {
+        Self { width: 320, height: 320, weights: [10.0, 10.0, 5.0, 5.0], class_mask: u32::MAX }
+    }
+}
+
+impl DecodeDetections {
+    fn rule(&self, classes: usize) -> DetectionRule {
+        DetectionRule {
+            extent: [self.width as f32, self.height as f32],
+            weights: self.weights,
+            class_mask: self.class_mask,
+            classes,
+        }
+    }
+}
+
+impl Op for DecodeDetections {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        vec!["rois", "deltas", "probabilities", "count"]
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["boxes", "scores", "classes", "count"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        expect_inputs(self, inputs.len())?;
+        let name = self.name();
+        if !self.weights.iter().all(|w| *w > 0.0) {
+            return Err(Error::param(name, "weights", "above 0", format!("{:?}", self.weights)));
+        }
+        let [rois, classes] = dims(name, "probabilities", &inputs[2], DType::F32)?;
+        if rois == 0 || classes < 2 {
+            let expected = "f32 [R, classes] with R above 0 and at least 2 classes";
+            return Err(Error::tensor(name, "probabilities", expected, &inputs[2]));
+        }
+        expect(name, "rois", &TensorSpec::f32([rois, 4]), &inputs[0])?;
+        expect(name, "deltas", &TensorSpec::f32([rois, 4 * classes]), &inputs[1])?;
+        expect_count(name, Some(&inputs[3]))?;
+        let n = rois * (classes - 1);
+        Ok(vec![
+            TensorSpec::f32([n, 4]),
+            TensorSpec::f32([n]),
+            TensorSpec::u32([n]),
+            TensorSpec::u32([1]),
+        ])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let [rois, classes] = [0, 1].map(|i| recording.dims(inputs[2])[i]);
+        if classes > MAX_CLASSES {
+            return Err(Error::Capacity {
+                what: "classes in the class mask".into(),
+                needed: classes as u64,
+                available: MAX_CLASSES as u64,
+            });
+        }
+        let [weight_x, weight_y, weight_width, weight_height] = self.weights;
+        let params = Params {
+            rois: rois as u32,
+            classes: classes as u32,
+            class_mask: self.class_mask,
+            picture_width: self.width as f32,
+            picture_height: self.height as f32,
+            weight_x,
+            weight_y,
+            weight_width,
+            weight_height,
+        };
+        let dispatch = |entry, bindings, grid| Dispatch {
+            shader: &SHADER,
+            entry,
+            constants: vec![],
+            params: bytemuck::bytes_of(&params).to_vec(),
+            bindings,
+            grid,
+        };
+        let decode = vec![
+            ("rois", inputs[0]),
+            ("deltas", inputs[1]),
+            ("probabilities", inputs[2]),
+            ("input_count", inputs[3]),
+            ("boxes", outputs[0]),
+            ("scores", outputs[1]),
+            ("classes", outputs[2]),
+        ];
+        recording.dispatch(dispatch("decode", decode, Grid::linear(rois * (classes - 1), 64)));
+        let count = vec![("input_count", inputs[3]), ("output_count", outputs[3])];
+        recording.dispatch(dispatch("count", count, Grid::Workgroups([1, 1, 1])));
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        let specs = self.infer(&inputs.iter().map(|v| v.spec()).collect::<Vec<_>>())?;
+        let (rois, deltas, probabilities) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);
+        let classes = probabilities.dims()[1];
+        let count = live(Some(inputs[3]), rois.dims()[0])?;
+        let found: Vec<_> = (0..count)
+            .flat_map(|i| {
+                let deltas = &deltas.data()[i * 4 * classes..][..4 * classes];
+                let probabilities = &probabilities.data()[i * classes..][..classes];
+                cpu::decode_detections(
+                    row(rois.data(), i),
+                    deltas,
+                    probabilities,
+                    self.rule(classes),
+                )
+            })
+            .collect();
+        let [boxes, scores, labels] = [0, 1, 2].map(|i| specs[i].shape.clone());
+        Ok(vec![
+            Tensor::from_fn(boxes, |i| found.get(i / 4).map_or(0.0, |f| f.0[i % 4])).into(),
+            Tensor::from_fn(scores, |i| found.get(i).map_or(0.0, |f| f.1)).into(),
+            Tensor::from_fn(labels, |i| found.get(i).map_or(0, |f| f.2)).into(),
+            Tensor::from_fn([1], |_| found.len() as u32).into(),
+        ])
+    }
+
+    /// Boxes: see `decode_bound`. The rest is copied or counted.
+    fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        let (rois, deltas, probabilities) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);
+        let classes = probabilities.dims()[1];
+        let rule = self.rule(classes);
+        let boxes = deltas.data().chunks(4 * classes).enumerate().flat_map(|(i, deltas)| {
+            let roi = row(rois.data(), i);
+            (1..classes).flat_map(move |c| decode_bound(roi, rule.deltas(deltas, c)))
+        });
+        let boxes = Tolerance::Each(boxes.collect());
+        Ok(vec![boxes, Tolerance::Exact, Tolerance::Exact, Tolerance::Exact])
+    }
+
+    fn defined(&self, reference: &[Value], _inputs: &[&Value]) -> Vec<usize> {
+        let count = live(Some(&reference[3]), usize::MAX).unwrap_or(0);
+        vec![count * 4, count, count, 1]
+    }
+}
+
+fn build(params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
+    Ok(Box::new(DecodeDetections {
+        width: params.require("width")?,
+        height: params.require("height")?,
+        class_mask: params.take("class_mask", u32::MAX)?,
+        ..DecodeDetections::default()
+    }))
+}
+
+fn cases() -> Vec<Case> {
+    let op = DecodeDetections { width: 40, height: 32, ..DecodeDetections::default() };
+    let count = |n: u32| integers([1], &[n]);
+    let random_case = |name: &str, seed: u64, rois: usize, classes: usize, mask: u32, n: u32| {
+        let mut deltas = random(seed, [rois, 4 * classes]);
+        deltas.data_mut().iter_mut().for_each(|d| *d *= 12.0);
+        let inputs = vec![
+            random_boxes(seed + 1, rois, 320.0, 100.0).into(),
+            deltas.into(),
+            random(seed + 2, [rois, classes]).into(),
+            count(n),
+        ];
+        let op = DecodeDetections { class_mask: mask, ..DecodeDetections::default() };
+        Case::new(name, op, inputs)
+    };
+    vec![
+        // The box (8, 8)–(16, 24), centre (12, 16). Class 1: dx = 5/10 of 8 is 4, dy = −10/10 of
+        // 16 is −16, so the centre is (16, 0), and the upper half is clipped. Class 2 is not
+        // wanted; its dw = 100/5 is clamped to ln 62.5, which fills the picture's width.
+        Case::new(
+            "by hand",
+            DecodeDetections { class_mask: 0b011, ..op },
+            vec![
+                values([2, 4], &[8.0, 8.0, 16.0, 24.0, 1.0, 1.0, 2.0, 2.0]),
+                values([2, 12], &{
+                    let mut deltas = [0.0; 24];
+                    deltas[4..12].copy_from_slice(&[5.0, -10.0, 0.0, 0.0, 0.0, 0.0, 100.0, 0.0]);
+                    deltas
+                }),
+                values([2, 3], &[0.5, 0.25, 0.25, 1.0, 0.0, 0.0]),
+                count(1),
+            ],
+        )
+        .by_hand(vec![
+            values(
+                [4, 4],
+                &[
+                    12.0, 0.0, 20.0, 8.0, 0.0, 8.0, 40.0, 24.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+                    0.0,
+                ],
+            ),
+            values([4], &[0.25, -1.0, 0.0, 0.0]),
+            integers([4], &[1, 2, 0, 0]),
+            integers([1], &[2]),
+        ]),
+        torchvision(),
+        random_case("nothing counted", 10, 3, 3, u32::MAX, 0),
+        random_case("one class", 20, 1, 2, u32::MAX, 1),
+        random_case("63 outputs, odd classes", 30, 21, 4, 0b1010, 21),
+        random_case("65 outputs", 40, 13, 6, u32::MAX, 99),
+        random_case("100 regions, 97 counted", 50, 100, 3, u32::MAX, 97),
+        random_case("32 classes", 60, 7, 32, 0x8000_0001, 7),
+    ]
+}
+
+/// `BoxCoder((10, 10, 5, 5)).decode`, then `clip_boxes_to_image`, without the background.
+fn torchvision() -> Case {
+    let op = DecodeDetections { width: 40, height: 32, ..DecodeDetections::default() };
+    let rois = [3.0, 4.0, 30.0, 20.0, 0.0, 0.0, 16.0, 31.0, 10.5, 2.25, 12.5, 30.0];
+    let deltas = Tensor::from_fn([3, 12], |i| ((i as f64).cos() * 8.0) as f32);
+    let probabilities = [0.0, 0.125, 0.875, 0.25, 0.5, 0.25, 0.0, 1.0, 0.0];
+    let golden = [
+        [0.0, 0.0, 40.0, 32.0],
+        [9.831_16, 0.0, 16.883_238, 8.394_383],
+        [0.0, 0.0, 18.752_405, 32.0],
+        [11.608_177, 0.0, 14.838_724, 8.524_488],
+        [8.679_904, 0.0, 11.239_757, 32.0],
+        [12.577_509, 12.562_246, 13.092_007, 19.098_267],
+    ];
+    Case::new(
+        "torchvision",
+        op,
+        vec![
+            values([3, 4], &rois),
+            deltas.into(),
+            values([3, 3], &probabilities),
+            integers([1], &[3]),
+        ],
+    )
+    .by_hand(vec![
+        values([6, 4], golden.as_flattened()),
+        values([6], &[0.125, 0.875, 0.5, 0.25, 1.0, 0.0]),
+        integers([6], &[1, 2, 1, 2, 1, 2]),
+        integers([1], &[6]),
+    ])
+}

@@ -1,0 +1,279 @@
+//! Proposals from the region proposal head.
+
+use crate::cpu::{self, AnchorGrid};
+use crate::error::{Error, Result};
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::boxes::decode_bound;
+use crate::ops::case::{Case, integers, random, random_integers, values};
+use crate::ops::count::{expect_count, live};
+use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect, expect_inputs};
+use crate::ops::params::Params as Named;
+use crate::shape::{DType, TensorSpec};
+use crate::tensor::{Tensor, Value};
+
+shader_params! {
+    struct Params {
+        anchors: u32,
+        height: u32,
+        width: u32,
+        capacity: u32,
+        stride: f32,
+        picture_width: f32,
+        picture_height: f32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "decode_proposals",
+    source: include_str!("../../wgsl/decode_proposals.wgsl"),
+    params: PARAMS,
+};
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "decode_proposals", shader: &SHADER, build, cases };
+
+/// Boxes of the chosen anchors, clipped to the picture, and their objectness.
+///
+/// Inputs: `deltas` f32 `[4A, H, W]`, channel = anchor · 4 + (dx, dy, dw, dh); `scores` f32 `[K]`,
+/// logits of the chosen; `indices` u32 `[K]`, (y · W + x) · A + anchor, where one past the end names
+/// the last; `count` u32 `[1]`. Outputs: `boxes` f32 `[K, 4]`, `scores` f32 `[K]` in 0 to 1; rows
+/// behind the count are not written. The conventions are torchvision's `AnchorGenerator` and
+/// `BoxCoder` with weights (1, 1, 1, 1).
+#[derive(Clone, Debug)]
+pub struct DecodeProposals {
+    /// Anchors of one cell, around the origin.
+    pub anchors: Vec<[f32; 4]>,
+    /// Pixels between cells.
+    pub stride: usize,
+    /// Width of the picture in pixels, to which boxes are clipped.
+    pub width: usize,
+    /// Height of the picture in pixels.
+    pub height: usize,
+}
+
+impl DecodeProposals {
+    fn grid(&self, width: usize) -> AnchorGrid<'_> {
+        AnchorGrid { cell: &self.anchors, stride: self.stride as f32, width }
+    }
+}
+
+impl Op for DecodeProposals {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        vec!["deltas", "scores", "indices", "count"]
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["boxes", "scores"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        expect_inputs(self, inputs.len())?;
+        let name = self.name();
+        if self.anchors.is_empty() {
+            return Err(Error::param(name, "anchors", "at least one", "none"));
+        }
+        let [channels, h, w] = dims(name, "deltas", &inputs[0], DType::F32)?;
+        if channels != 4 * self.anchors.len() || h * w == 0 {
+            let expected = format!("f32 [{}, H, W] without a zero", 4 * self.anchors.len());
+            return Err(Error::tensor(name, "deltas", expected, &inputs[0]));
+        }
+        let [k] = dims(name, "scores", &inputs[1], DType::F32)?;
+        expect(name, "indices", &TensorSpec::u32([k]), &inputs[2])?;
+        expect_count(name, Some(&inputs[3]))?;
+        Ok(vec![TensorSpec::f32([k, 4]), TensorSpec::f32([k])])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let [height, width] = [1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
+        let capacity = recording.dims(inputs[1])[0];
+        let cell = Tensor::new([self.anchors.len(), 4], self.anchors.concat())?;
+        let anchors = recording.constant("anchors", cell);
+        let params = Params {
+            anchors: self.anchors.len() as u32,
+            height,
+            width,
+            capacity: capacity as u32,
+            stride: self.stride as f32,
+            picture_width: self.width as f32,
+            picture_height: self.height as f32,
+        };
+        recording.dispatch(Dispatch {
+            shader: &SHADER,
+            entry: "main",
+            constants: vec![],
+            params: bytemuck::bytes_of(&params).to_vec(),
+            bindings: vec![
+                ("deltas", inputs[0]),
+                ("logits", inputs[1]),
+                ("indices", inputs[2]),
+                ("count", inputs[3]),
+                ("anchors", anchors),
+                ("boxes", outputs[0]),
+                ("scores", outputs[1]),
+            ],
+            grid: Grid::linear(capacity, 64),
+        });
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        let specs = self.infer(&inputs.iter().map(|v| v.spec()).collect::<Vec<_>>())?;
+        let (deltas, logits, indices) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].u32()?);
+        let count = live(Some(inputs[3]), logits.data().len())?;
+        let extent = [self.width as f32, self.height as f32];
+        let grid = self.grid(deltas.dims()[2]);
+        let mut boxes =
+            cpu::decode_proposals(deltas, &indices.data()[..count], grid, extent).concat();
+        boxes.resize(specs[0].shape.elements(), 0.0);
+        let score = |i: usize| if i < count { cpu::sigmoid(logits.data()[i]) } else { 0.0 };
+        Ok(vec![
+            Tensor::new(specs[0].shape.clone(), boxes)?.into(),
+            Tensor::from_fn(specs[1].shape.clone(), score).into(),
+        ])
+    }
+
+    /// Boxes: see `decode_bound`. Scores: s = e/(1 + e) moves by s(1 − s) times the relative error
+    /// of e, which is (3 + 2|x|) ULP of at most 2ε; the quotient adds 2.5 ULP and the sum ε.
+    fn tolerance(&self, inputs: &[&Value], reference: &[Value]) -> Result<Vec<Tolerance>> {
+        let (deltas, logits, indices) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].u32()?);
+        let grid = self.grid(deltas.dims()[2]);
+        let last = deltas.data().len() / 4 - 1;
+        let boxes = indices.data().iter().flat_map(|index| {
+            let index = last.min(*index as usize);
+            decode_bound(grid.anchor(index).0, grid.deltas(deltas, index))
+        });
+        let sigmoids = reference[1].f32()?.data().iter().zip(logits.data()).map(|(s, x)| {
+            let (s, x) = (f64::from(*s), f64::from(x.abs()));
+            let exponential = s * (1.0 - s) * (6.0 + 4.0 * x);
+            EPS * (exponential + 7.0 * s) + f64::from(f32::MIN_POSITIVE)
+        });
+        Ok(vec![Tolerance::Each(boxes.collect()), Tolerance::Each(sigmoids.collect())])
+    }
+
+    fn defined(&self, _reference: &[Value], inputs: &[&Value]) -> Vec<usize> {
+        let capacity = inputs[1].spec().shape.elements();
+        let count = live(Some(inputs[3]), capacity).unwrap_or(0);
+        vec![count * 4, count]
+    }
+}
+
+fn build(params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
+    let sides: Vec<f32> = params.require_list("anchors")?;
+    let (anchors, rest) = sides.as_chunks::<4>();
+    if !rest.is_empty() {
+        let got = format!("{} numbers", sides.len());
+        return Err(Error::param(ENTRY.name, "anchors", "x1,y1,x2,y2 of each anchor", got));
+    }
+    Ok(Box::new(DecodeProposals {
+        anchors: anchors.to_vec(),
+        stride: params.require("stride")?,
+        width: params.require("width")?,
+        height: params.require("height")?,
+    }))
+}
+
+fn cases() -> Vec<Case> {
+    let anchors = vec![[-8.0, -4.0, 8.0, 4.0], [-2.0, -2.0, 2.0, 2.0]];
+    let op = DecodeProposals { anchors, stride: 8, width: 32, height: 24 };
+    let count = |n: u32| integers([1], &[n]);
+    let deltas =
+        |seed: u64, a: usize, h: usize, w: usize| -> Value { random(seed, [4 * a, h, w]).into() };
+    let three =
+        vec![[-16.0, -16.0, 16.0, 16.0], [-23.0, -11.0, 23.0, 11.0], [-5.5, -9.0, 5.5, 9.0]];
+    let rpn = DecodeProposals { anchors: three, stride: 8, width: 317, height: 251 };
+    let case = |name: &str, seed: u64, k: usize, counted: u32| {
+        let logits = Tensor::from_fn([k], |i| (i as f32 - k as f32 / 2.0) * 0.25);
+        let inputs = vec![
+            deltas(seed, 3, 31, 37),
+            logits.into(),
+            random_integers(seed + 1, [k], 3 * 31 * 37),
+            count(counted),
+        ];
+        Case::new(name, rpn.clone(), inputs)
+    };
+    let mut extreme = random(70, [12, 5, 7]);
+    extreme.data_mut().iter_mut().for_each(|x| *x *= 20.0);
+    vec![
+        // Index 9 is anchor 1 at x = 1, y = 1: (6, 6, 10, 10), centre 8. dx = 0.5 moves it by 2,
+        // dy = −1 by −4; dw = dh = 0. Index 0 is anchor 0 at the origin, clipped at 0; its dw of
+        // 9 is clamped to ln 62.5, so that it is 16 · 62.5 wide. A logit of 0 is one half.
+        Case::new("by hand", op.clone(), {
+            let mut deltas = Tensor::zeros([8, 2, 3]);
+            let position = 3 + 1;
+            deltas.data_mut()[4 * 6 + position] = 0.5;
+            deltas.data_mut()[5 * 6 + position] = -1.0;
+            deltas.data_mut()[2 * 6] = 9.0;
+            vec![
+                deltas.into(),
+                values([3], &[0.0, -1000.0, 1.0]),
+                integers([3], &[9, 0, 0]),
+                count(2),
+            ]
+        })
+        .by_hand(vec![
+            values([3, 4], &[8.0, 2.0, 12.0, 6.0, 0.0, 0.0, 32.0, 4.0, 0.0, 0.0, 0.0, 0.0]),
+            values([3], &[0.5, 0.0, 0.0]),
+        ]),
+        Case::new(
+            "nothing counted, and an index past the end",
+            op.clone(),
+            vec![deltas(1, 2, 2, 3), values([1], &[2.0]), integers([1], &[12]), count(0)],
+        ),
+        Case::new(
+            "an index past the end",
+            op,
+            vec![deltas(2, 2, 2, 3), values([1], &[2.0]), integers([1], &[u32::MAX]), count(1)],
+        ),
+        case("a workgroup less one", 10, 63, 63),
+        case("a workgroup and one", 20, 65, 65),
+        case("a thousand, 613 counted", 30, 1000, 613),
+        Case::new(
+            "large deltas",
+            rpn.clone(),
+            vec![
+                extreme.into(),
+                values([4], &[88.0, -88.0, 103.0, -120.0]),
+                integers([4], &[0, 17, 55, 104]),
+                count(u32::MAX),
+            ],
+        ),
+        torchvision(),
+    ]
+}
+
+/// Computed by torchvision: `AnchorGenerator` and `BoxCoder((1, 1, 1, 1)).decode`, then
+/// `clip_boxes_to_image`, for deltas of sin(i).
+fn torchvision() -> Case {
+    let op = DecodeProposals {
+        anchors: vec![[-23.0, -11.0, 23.0, 11.0], [-11.0, -23.0, 11.0, 23.0]],
+        stride: 8,
+        width: 400,
+        height: 320,
+    };
+    let golden = [
+        [0.0, 11.974_904, 48.453_632, 28.194_69],
+        [38.359_226, 20.182_24, 52.248_806, 37.132_717],
+        [0.0, 0.0, 6.958_214, 35.583_992],
+        [0.0, 0.0, 32.082_07, 65.766_71],
+    ];
+    let deltas = Tensor::from_fn([8, 4, 5], |i| (i as f64).sin() as f32);
+    let inputs = vec![
+        deltas.into(),
+        values([4], &[-2.0, -0.5, 0.5, 3.0]),
+        integers([4], &[0, 7, 22, 39]),
+        integers([1], &[4]),
+    ];
+    Case::new("torchvision", op, inputs).by_hand(vec![
+        values([4, 4], golden.as_flattened()),
+        values([4], &[0.119_202_92, 0.377_540_68, 0.622_459_35, 0.952_574_1]),
+    ])
+}

@@ -1,0 +1,158 @@
+//! Average pooling over all of space.
+
+use crate::cpu;
+use crate::error::{Error, Result};
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::bounds::{magnitude, mean_error};
+use crate::ops::case::{Case, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect_inputs, map_dims};
+use crate::ops::params::Params as Named;
+use crate::shape::TensorSpec;
+use crate::tensor::{Tensor, Value};
+
+shader_params! {
+    struct Params {
+        channels: u32,
+        area: u32,
+        first: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "global_avg_pool",
+    source: include_str!("../../wgsl/global_avg_pool.wgsl"),
+    params: PARAMS,
+};
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "global_avg_pool", shader: &SHADER, build, cases };
+
+/// Average of each channel over space, PyTorch's `adaptive_avg_pool2d(1)`; of several maps side by
+/// side.
+///
+/// Inputs: `map0 [C0, H, W]`, `map1`, …; their sizes may differ. Output: `output [C0 + C1 + …]`.
+#[derive(Clone, Copy, Debug)]
+pub struct GlobalAvgPool {
+    /// How many maps, 1 to 3.
+    pub maps: usize,
+}
+
+/// Names of the inputs.
+const MAPS: [&str; 3] = ["map0", "map1", "map2"];
+
+impl Op for GlobalAvgPool {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        MAPS.into_iter().take(self.maps).collect()
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["output"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        if !(1..=MAPS.len()).contains(&self.maps) {
+            return Err(Error::param(self.name(), "maps", "1 to 3", self.maps));
+        }
+        expect_inputs(self, inputs.len())?;
+        let mut total = 0;
+        for (name, input) in MAPS.into_iter().zip(inputs) {
+            let [channels, ..] = map_dims(self.name(), name, input)?;
+            total += channels;
+        }
+        Ok(vec![TensorSpec::f32([total])])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let mut first = 0;
+        for input in inputs {
+            let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(*input)[i] as u32);
+            let params = Params { channels, area: height * width, first };
+            recording.dispatch(Dispatch {
+                shader: &SHADER,
+                entry: "main",
+                constants: vec![],
+                params: bytemuck::bytes_of(&params).to_vec(),
+                bindings: vec![("input", *input), ("output", outputs[0])],
+                grid: Grid::linear(channels as usize, 1),
+            });
+            first += channels;
+        }
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        check_inputs(self, inputs)?;
+        let mut means = Vec::new();
+        for input in inputs {
+            means.extend(cpu::global_avg_pool(input.f32()?).into_data());
+        }
+        Ok(vec![Tensor::new([means.len()], means)?.into()])
+    }
+
+    /// As [`mean_error`] says.
+    fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        let mut each = Vec::new();
+        for input in inputs {
+            let sizes = magnitude(input)?;
+            let area = sizes.dims()[1] * sizes.dims()[2];
+            let means = cpu::global_avg_pool(&sizes);
+            each.extend(means.data().iter().map(|m| mean_error(area, f64::from(*m))));
+        }
+        Ok(vec![Tolerance::Each(each)])
+    }
+}
+
+fn build(_params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {
+    let maps = MAPS.iter().filter(|name| present.contains(name)).count();
+    Ok(Box::new(GlobalAvgPool { maps }))
+}
+
+fn cases() -> Vec<Case> {
+    const ONE: GlobalAvgPool = GlobalAvgPool { maps: 1 };
+    let mut cases = vec![
+        // (1 + 2 + 3 + 6) / 4 and (0.5 − 0.5 + 8 + 0) / 4.
+        Case::new(
+            "2x2 by hand",
+            ONE,
+            vec![values([2, 2, 2], &[1.0, 2.0, 3.0, 6.0, 0.5, -0.5, 8.0, 0.0])],
+        )
+        .by_hand(vec![values([2], &[3.0, 2.0])]),
+        // (1 + 3) / 2, then 5, then (2 + 4) / 2 and (−1 + 1) / 2.
+        Case::new(
+            "three maps side by side by hand",
+            GlobalAvgPool { maps: 3 },
+            vec![
+                values([1, 1, 2], &[1.0, 3.0]),
+                values([1, 1, 1], &[5.0]),
+                values([2, 2, 1], &[2.0, 4.0, -1.0, 1.0]),
+            ],
+        )
+        .by_hand(vec![values([4], &[2.0, 5.0, 3.0, 0.0])]),
+    ];
+    let shapes = [
+        ("one of everything", [1, 1, 1]),
+        ("63 pixels: a workgroup less one", [3, 9, 7]),
+        ("64 pixels: a workgroup", [3, 8, 8]),
+        ("65 pixels: a workgroup and one", [3, 5, 13]),
+        ("prime sizes", [61, 31, 37]),
+        ("as in the re-weighting", [64, 40, 40]),
+    ];
+    for (i, (name, dims)) in shapes.into_iter().enumerate() {
+        cases.push(Case::new(name, ONE, vec![random(i as u64, dims).into()]));
+    }
+    let mut offset = random(90, [2, 160, 160]);
+    offset.data_mut().iter_mut().for_each(|x| *x += 1e4);
+    cases.push(Case::new("25 600 values at an offset of 1e4", ONE, vec![offset.into()]));
+    cases.push(Case::new("1e30", ONE, vec![random_scaled(91, [3, 11, 13], 1e30)]));
+    cases.push(Case::new("1e-30", ONE, vec![random_scaled(92, [3, 11, 13], 1e-30)]));
+    cases
+}

@@ -1,0 +1,175 @@
+//! Workgroups of an indirect dispatch from a count on the device.
+
+use crate::cpu;
+use crate::error::{Error, Result};
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::case::{Case, integers};
+use crate::ops::count::{expect_count, live};
+use crate::ops::op::{Entry, Op, Tolerance, expect_inputs};
+use crate::ops::params::Params as Named;
+use crate::shape::TensorSpec;
+use crate::tensor::{Tensor, Value};
+
+shader_params! {
+    struct Params {
+        capacity: u32,
+        items_per_count: u32,
+        workgroup_size: u32,
+        layers: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "indirect_grid",
+    source: include_str!("../../wgsl/indirect_grid.wgsl"),
+    params: PARAMS,
+};
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "indirect_grid", shader: &SHADER, build, cases };
+
+/// Workgroups that cover `count · items_per_count` invocations.
+///
+/// Input: `count` u32 `[1]`. Output: `grid` u32 `[3]`, as [`Grid::Indirect`] takes it: x and y
+/// folded as [`Grid::linear`] does past 65 535, `[0, 0, layers]` for a count of zero.
+#[derive(Clone, Copy, Debug)]
+pub struct IndirectGrid {
+    /// Largest count; what lies above it is taken for it.
+    pub capacity: usize,
+    /// Invocations that one count needs.
+    pub items_per_count: u32,
+    /// Invocations of a workgroup.
+    pub workgroup_size: u32,
+    /// Workgroups in z, for every count.
+    pub layers: u32,
+}
+
+impl Op for IndirectGrid {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        vec!["count"]
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["grid"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        expect_inputs(self, inputs.len())?;
+        for (param, value) in [("workgroup_size", self.workgroup_size), ("layers", self.layers)] {
+            if value == 0 {
+                return Err(Error::param(self.name(), param, "at least 1", value));
+            }
+        }
+        expect_count(self.name(), Some(&inputs[0]))?;
+        Ok(vec![TensorSpec::u32([3])])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let items = self.capacity as u64 * u64::from(self.items_per_count);
+        if items > u64::from(u32::MAX) {
+            return Err(Error::Capacity {
+                what: format!("invocations of one dispatch for a count of {}", self.capacity),
+                needed: items,
+                available: u64::from(u32::MAX),
+            });
+        }
+        let params = Params {
+            capacity: self.capacity as u32,
+            items_per_count: self.items_per_count,
+            workgroup_size: self.workgroup_size,
+            layers: self.layers,
+        };
+        recording.dispatch(Dispatch {
+            shader: &SHADER,
+            entry: "main",
+            constants: vec![],
+            params: bytemuck::bytes_of(&params).to_vec(),
+            bindings: vec![("count", inputs[0]), ("grid", outputs[0])],
+            grid: Grid::Workgroups([1, 1, 1]),
+        });
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        self.infer(&inputs.iter().map(|v| v.spec()).collect::<Vec<_>>())?;
+        let count = live(Some(inputs[0]), self.capacity)?;
+        let grid =
+            cpu::indirect_grid(count, self.items_per_count, self.workgroup_size, self.layers);
+        Ok(vec![Tensor::from_fn([3], |i| grid[i]).into()])
+    }
+
+    fn tolerance(&self, _inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        Ok(vec![Tolerance::Exact])
+    }
+}
+
+/// Records the grid for `count` in a scratch tensor, to be used as [`Grid::Indirect`]: workgroups
+/// of `workgroup` invocations, `items_per_count` invocations a count, counts up to `capacity`.
+///
+/// # Errors
+/// [`Error::Capacity`] where `capacity · items_per_count` is past a u32.
+pub fn record_indirect_grid(
+    recording: &mut Recording,
+    count: TensorId,
+    capacity: usize,
+    items_per_count: u32,
+    workgroup: u32,
+) -> Result<TensorId> {
+    let op = IndirectGrid { capacity, items_per_count, workgroup_size: workgroup, layers: 1 };
+    op.record_scratch(recording, count)
+}
+
+impl IndirectGrid {
+    /// Records the grid for `count` in a scratch tensor.
+    pub(crate) fn record_scratch(
+        &self,
+        recording: &mut Recording,
+        count: TensorId,
+    ) -> Result<TensorId> {
+        let grid = recording.scratch("grid", TensorSpec::u32([3]));
+        self.record(recording, &[count], &[grid])?;
+        Ok(grid)
+    }
+}
+
+fn build(params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
+    Ok(Box::new(IndirectGrid {
+        capacity: params.require("capacity")?,
+        items_per_count: params.take("items_per_count", 1)?,
+        workgroup_size: params.take("workgroup_size", 64)?,
+        layers: params.take("layers", 1)?,
+    }))
+}
+
+fn cases() -> Vec<Case> {
+    let by_hand = |name: &str, op: IndirectGrid, count: u32, grid: [u32; 3]| {
+        Case::new(name, op, vec![integers([1], &[count])]).by_hand(vec![integers([3], &grid)])
+    };
+    let op = IndirectGrid { capacity: 1000, items_per_count: 1, workgroup_size: 64, layers: 1 };
+    let many = IndirectGrid { capacity: 65_536, items_per_count: 65_535, ..op };
+    vec![
+        by_hand("nothing", op, 0, [0, 0, 1]),
+        by_hand("one", op, 1, [1, 1, 1]),
+        by_hand("a workgroup less one", op, 63, [1, 1, 1]),
+        by_hand("a workgroup", op, 64, [1, 1, 1]),
+        by_hand("a workgroup and one", op, 65, [2, 1, 1]),
+        by_hand("above the capacity", op, u32::MAX, [16, 1, 1]),
+        // 13 · 49 = 637 invocations are 9 workgroups and 61 invocations.
+        by_hand("layers", IndirectGrid { items_per_count: 49, layers: 5, ..op }, 13, [10, 1, 5]),
+        // 64 · 65 535 invocations fill one row of workgroups exactly; 65 · 65 535 need
+        // 66 559 workgroups (65 · 65 535 / 64 = 66 558.98).
+        by_hand("one full row", many, 64, [65_535, 1, 1]),
+        by_hand("a second row", many, 65, [65_535, 2, 1]),
+        // 65 536 · 65 535 = 2³² − 65 536 invocations: 67 107 840 workgroups, 1024 rows.
+        by_hand("nearly all of a u32", many, 65_536, [65_535, 1024, 1]),
+    ]
+}

@@ -1,0 +1,262 @@
+//! A fully connected layer.
+
+use crate::cpu;
+use crate::error::{Error, Result};
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::bounds::{magnitude, sum_error};
+use crate::ops::case::{Case, integers, random, values};
+use crate::ops::count::{count_tensor, expect_count, live, row_grid};
+use crate::ops::indirect_grid::IndirectGrid;
+use crate::ops::op::{Entry, Op, Tolerance, dims, expect, expect_inputs};
+use crate::ops::params::Params as Named;
+use crate::shape::{DType, TensorSpec};
+use crate::tensor::{Tensor, Value};
+
+shader_params! {
+    struct Params {
+        rows: u32,
+        inner: u32,
+        inner_quads: u32,
+        outputs: u32,
+        slices: u32,
+        slice_quads: u32,
+        relu: u32,
+    }
+}
+
+static SHADER: Shader =
+    Shader { stem: "linear", source: include_str!("../../wgsl/linear.wgsl"), params: PARAMS };
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "linear", shader: &SHADER, build, cases };
+
+/// Rows that one workgroup computes.
+const ROWS: usize = 8;
+/// Invocations of a workgroup, each with four outputs.
+const LANES: usize = 64;
+/// Most slices that a row of inputs is cut into.
+const MAX_SLICES: usize = 16;
+/// Fewest vec4 of inputs in a slice: shorter ones cost more to add than to compute.
+const MIN_SLICE: usize = 16;
+
+/// PyTorch's `linear`, then ReLU if `relu`, on the rows below the count.
+///
+/// Inputs: `input` f32 `[R, …]`, K elements a row; `weight` f32 `[O, K]` and `bias` f32 `[O]`, known
+/// when recording; `count` u32 `[1]` if `count`. Output: `output` f32 `[R, O]`; rows behind the count
+/// are not written.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Linear {
+    /// Whether a ReLU comes last.
+    pub relu: bool,
+    /// Whether a count limits the rows.
+    pub count: bool,
+}
+
+impl Op for Linear {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        let mut names = vec!["input", "weight", "bias"];
+        names.extend(self.count.then_some("count"));
+        names
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["output"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        expect_inputs(self, inputs.len())?;
+        let name = self.name();
+        let [outputs, inner] = dims(name, "weight", &inputs[1], DType::F32)?;
+        let shape = &inputs[0].shape;
+        let fits = shape.rank() >= 2 && shape.0[1..].iter().product::<usize>() == inner;
+        if !fits || shape.elements() * outputs == 0 || inputs[0].dtype != DType::F32 {
+            let expected = format!("f32 [R, …] with {inner} elements a row, none zero");
+            return Err(Error::tensor(name, "input", expected, &inputs[0]));
+        }
+        expect(name, "bias", &TensorSpec::f32([outputs]), &inputs[2])?;
+        expect_count(name, inputs.get(3))?;
+        Ok(vec![TensorSpec::f32([shape.0[0], outputs])])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let name = recording.info(inputs[1]).name.clone();
+        let weight = recording.constant_value(self.name(), inputs[1])?;
+        let bias = recording.constant_value(self.name(), inputs[2])?;
+        let [outs, inner] = [0, 1].map(|i| weight.spec().shape.0[i]);
+        let rows = recording.dims(inputs[0])[0];
+        let quads = outs.div_ceil(4);
+        let inner_quads = inner.div_ceil(4);
+        let slice_quads = inner_quads.div_ceil(MAX_SLICES).max(MIN_SLICE);
+        let slices = inner_quads.div_ceil(slice_quads);
+        let columns = quads.div_ceil(LANES);
+
+        let packed = recording.constant(format!("{name} (packed)"), pack_weight(weight.f32()?));
+        let mut padded_bias = bias.f32()?.data().to_vec();
+        padded_bias.resize(quads * 4, 0.0);
+        let bias = recording
+            .constant(format!("{name} (bias)"), Tensor::new([padded_bias.len()], padded_bias)?);
+        let partials = recording.scratch("partials", TensorSpec::f32([slices, rows, quads * 4]));
+        let given = inputs.get(3).copied();
+        let count = count_tensor(recording, given, rows);
+        let params = Params {
+            rows: rows as u32,
+            inner: inner as u32,
+            inner_quads: inner_quads as u32,
+            outputs: outs as u32,
+            slices: slices as u32,
+            slice_quads: slice_quads as u32,
+            relu: u32::from(self.relu),
+        };
+        let dispatch = |entry, bindings, grid| Dispatch {
+            shader: &SHADER,
+            entry,
+            constants: vec![],
+            params: bytemuck::bytes_of(&params).to_vec(),
+            bindings,
+            grid,
+        };
+
+        let mut input = inputs[0];
+        if inner % 4 != 0 {
+            let padded = recording.scratch("padded", TensorSpec::f32([rows, inner_quads * 4]));
+            recording.dispatch(dispatch(
+                "pad",
+                vec![("count", count), ("unpadded", input), ("padded", padded)],
+                Grid::linear(rows * inner_quads * 4, LANES as u32),
+            ));
+            input = padded;
+        }
+        let layers = (columns * slices) as u32;
+        let tiles = match given {
+            None => Grid::Workgroups([rows.div_ceil(ROWS) as u32, 1, layers]),
+            Some(count) => {
+                let grid = IndirectGrid {
+                    capacity: rows,
+                    items_per_count: 1,
+                    workgroup_size: ROWS as u32,
+                    layers,
+                };
+                Grid::Indirect(grid.record_scratch(recording, count)?)
+            }
+        };
+        recording.dispatch(dispatch(
+            "partial",
+            vec![("count", count), ("input", input), ("weight", packed), ("partials", partials)],
+            tiles,
+        ));
+        let grid = row_grid(recording, given, rows, quads, LANES as u32)?;
+        recording.dispatch(dispatch(
+            "finish",
+            vec![("count", count), ("partials", partials), ("bias", bias), ("output", outputs[0])],
+            grid,
+        ));
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        let specs = self.infer(&inputs.iter().map(|v| v.spec()).collect::<Vec<_>>())?;
+        let (input, weight, bias) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);
+        let rows = live(inputs.get(3).copied(), input.dims()[0])?;
+        let mut output = cpu::linear(input, weight, bias, rows, self.relu).into_data();
+        output.resize(specs[0].shape.elements(), 0.0);
+        Ok(vec![Tensor::new(specs[0].shape.clone(), output)?.into()])
+    }
+
+    /// K products, the bias, and the reference's own rounding.
+    fn tolerance(&self, inputs: &[&Value], reference: &[Value]) -> Result<Vec<Tolerance>> {
+        let (input, weight) = (magnitude(inputs[0])?, magnitude(inputs[1])?);
+        let rows = live(inputs.get(3).copied(), input.dims()[0])?;
+        let sums = cpu::linear(&input, &weight, &magnitude(inputs[2])?, rows, false);
+        let roundings = weight.dims()[1] + 2;
+        let mut each: Vec<f64> =
+            sums.data().iter().map(|s| sum_error(roundings, f64::from(*s))).collect();
+        each.resize(reference[0].spec().shape.elements(), 0.0);
+        Ok(vec![Tolerance::Each(each)])
+    }
+
+    fn defined(&self, reference: &[Value], inputs: &[&Value]) -> Vec<usize> {
+        let shape = reference[0].spec().shape;
+        let rows = live(inputs.get(3).copied(), shape.0[0]).unwrap_or(0);
+        vec![rows * shape.0[1]]
+    }
+}
+
+/// `[O, K]` to `[K, O]`, with zeros up to whole numbers of four.
+fn pack_weight(weight: &Tensor) -> Tensor {
+    let [outs, inner] = [0, 1].map(|i| weight.dims()[i]);
+    let [to_outs, to_inner] = [outs, inner].map(|n| n.next_multiple_of(4));
+    let mut packed = Tensor::zeros([to_inner, to_outs]);
+    for (o, row) in weight.data().chunks_exact(inner).enumerate() {
+        for (k, w) in row.iter().enumerate() {
+            packed.data_mut()[k * to_outs + o] = *w;
+        }
+    }
+    packed
+}
+
+fn build(params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {
+    Ok(Box::new(Linear { relu: params.take("relu", false)?, count: present.contains(&"count") }))
+}
+
+fn cases() -> Vec<Case> {
+    let plain = Linear::default();
+    let counted = Linear { relu: true, count: true };
+    let by_hand = || {
+        vec![
+            values([2, 3], &[1.0, 2.0, 3.0, -1.0, 0.5, 4.0]),
+            values([2, 3], &[1.0, 1.0, 1.0, 2.0, -2.0, 0.25]),
+            values([2], &[0.5, -1.0]),
+        ]
+    };
+    let mut cases = vec![
+        // 1 + 2 + 3 + 0.5; 2 − 4 + 0.75 − 1; −1 + 0.5 + 4 + 0.5; −2 − 1 + 1 − 1.
+        Case::new("by hand", plain, by_hand())
+            .by_hand(vec![values([2, 2], &[6.5, -2.25, 4.0, -3.0])]),
+        Case::new("ReLU and one row counted by hand", counted, {
+            let mut inputs = by_hand();
+            inputs.push(integers([1], &[1]));
+            inputs
+        })
+        .by_hand(vec![values([2, 2], &[6.5, 0.0, 0.0, 0.0])]),
+    ];
+    // (name, input, outputs, count, relu)
+    let sets = [
+        ("one of everything", vec![1, 1], 1, None, false),
+        ("primes", vec![7, 61], 37, None, true),
+        ("a tile less one, a slice less one", vec![7, 63], 255, Some(7), false),
+        ("a tile and one, a slice and one", vec![9, 65], 257, Some(9), false),
+        ("a row of feature maps", vec![11, 16, 7, 7], 20, Some(10), true),
+        ("fc6, narrow", vec![17, 256, 7, 7], 68, Some(17), true),
+        ("fc7", vec![100, 512], 512, Some(13), true),
+        ("nothing counted", vec![5, 10], 4, Some(0), false),
+        ("counted above all", vec![5, 12], 6, Some(u32::MAX), false),
+    ];
+    for (seed, (name, shape, outputs, count, relu)) in sets.into_iter().enumerate() {
+        let seed = seed as u64 * 10;
+        let inner = shape[1..].iter().product();
+        let mut inputs: Vec<Value> = vec![
+            random(seed, crate::shape::Shape(shape)).into(),
+            random(seed + 1, [outputs, inner]).into(),
+            random(seed + 2, [outputs]).into(),
+        ];
+        inputs.extend(count.map(|n| integers([1], &[n])));
+        cases.push(Case::new(name, Linear { relu, count: count.is_some() }, inputs));
+    }
+    // Large against small: the bound grows with Σ|w||x|, not with the result.
+    let mut wide = random(99, [6, 250]);
+    for (i, x) in wide.data_mut().iter_mut().enumerate() {
+        *x *= 10f32.powi((i % 13) as i32 - 6);
+    }
+    let inputs = vec![wide.into(), random(98, [9, 250]).into(), random(97, [9]).into()];
+    cases.push(Case::new("twelve orders of magnitude", plain, inputs));
+    cases
+}

@@ -1,0 +1,163 @@
+//! 2-D maximum pooling.
+
+use crate::cpu;
+use crate::error::{Error, Result};
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::case::{Case, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect_inputs, map_dims};
+use crate::ops::params::Params as Named;
+use crate::shape::TensorSpec;
+use crate::tensor::Value;
+
+shader_params! {
+    struct Params {
+        channels: u32,
+        in_height: u32,
+        in_width: u32,
+        out_height: u32,
+        out_width: u32,
+        kernel: u32,
+        stride: u32,
+        padding: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "max_pool2d",
+    source: include_str!("../../wgsl/max_pool2d.wgsl"),
+    params: PARAMS,
+};
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "max_pool2d", shader: &SHADER, build, cases };
+
+/// PyTorch's `max_pool2d` with square windows; the padding is minus infinity.
+///
+/// Input: `input [C, H, W]`. Output: `output [C, H', W']`, `H' = (H + 2·padding − kernel) / stride
+/// + 1`, rounded down.
+#[derive(Clone, Copy, Debug)]
+pub struct MaxPool2d {
+    /// Length of the window's edges.
+    pub kernel: usize,
+    /// Step between windows.
+    pub stride: usize,
+    /// Pixels added on each side, at most half the kernel.
+    pub padding: usize,
+}
+
+impl Op for MaxPool2d {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        vec!["input"]
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["output"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        expect_inputs(self, inputs.len())?;
+        let name = self.name();
+        for (param, value) in [("kernel", self.kernel), ("stride", self.stride)] {
+            if value == 0 {
+                return Err(Error::param(name, param, "at least 1", value));
+            }
+        }
+        if self.padding > self.kernel / 2 {
+            let expected = format!("at most half the kernel ({})", self.kernel / 2);
+            return Err(Error::param(name, "padding", expected, self.padding));
+        }
+        let [channels, height, width] = map_dims(name, "input", &inputs[0])?;
+        let pooled =
+            |n: usize| Some((n + 2 * self.padding).checked_sub(self.kernel)? / self.stride + 1);
+        let Some((height, width)) = pooled(height).zip(pooled(width)) else {
+            let expected = format!("at least the kernel ({}) with padding", self.kernel);
+            return Err(Error::tensor(name, "input", expected, &inputs[0]));
+        };
+        Ok(vec![TensorSpec::f32([channels, height, width])])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let [channels, in_height, in_width] =
+            [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
+        let [out_height, out_width] = [1, 2].map(|i| recording.dims(outputs[0])[i] as u32);
+        let params = Params {
+            channels,
+            in_height,
+            in_width,
+            out_height,
+            out_width,
+            kernel: self.kernel as u32,
+            stride: self.stride as u32,
+            padding: self.padding as u32,
+        };
+        recording.dispatch(Dispatch {
+            shader: &SHADER,
+            entry: "main",
+            constants: vec![],
+            params: bytemuck::bytes_of(&params).to_vec(),
+            bindings: vec![("input", inputs[0]), ("output", outputs[0])],
+            grid: Grid::linear(recording.info(outputs[0]).spec.shape.elements(), 64),
+        });
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        check_inputs(self, inputs)?;
+        Ok(vec![cpu::max_pool2d(inputs[0].f32()?, self.kernel, self.stride, self.padding).into()])
+    }
+
+    /// A maximum is one of the inputs.
+    fn tolerance(&self, _inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        Ok(vec![Tolerance::Exact])
+    }
+}
+
+fn build(params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
+    let kernel = params.require("kernel")?;
+    let stride = params.take("stride", kernel)?;
+    Ok(Box::new(MaxPool2d { kernel, stride, padding: params.take("padding", 0)? }))
+}
+
+fn cases() -> Vec<Case> {
+    let op = |kernel, stride, padding| MaxPool2d { kernel, stride, padding };
+    let mut cases = vec![
+        Case::new(
+            "2x2 by hand",
+            op(2, 2, 0),
+            vec![values([1, 2, 4], &[1.0, 5.0, -3.0, -2.0, 4.0, 0.0, -7.0, -1.0])],
+        )
+        .by_hand(vec![values([1, 1, 2], &[5.0, -1.0])]),
+        // All negative: padding with zeros would show.
+        Case::new(
+            "3x3 stride 2 padding 1 by hand",
+            op(3, 2, 1),
+            vec![values([1, 3, 3], &[-1.0, -2.0, -3.0, -4.0, -9.0, -6.0, -7.0, -8.0, -5.0])],
+        )
+        .by_hand(vec![values([1, 2, 2], &[-1.0, -2.0, -4.0, -5.0])]),
+    ];
+    let shapes = [
+        ("one pixel", op(1, 1, 0), [1, 1, 1]),
+        ("one pixel, padded", op(3, 2, 1), [1, 1, 1]),
+        ("as after conv1, primes", op(3, 2, 1), [7, 31, 37]),
+        ("even sizes leave a rest", op(3, 2, 1), [3, 10, 14]),
+        ("63 outputs", op(2, 2, 0), [1, 2, 126]),
+        ("65 outputs", op(2, 2, 0), [5, 2, 26]),
+        ("windows apart", op(2, 5, 1), [2, 13, 17]),
+        ("5x5, overlapping", op(5, 1, 2), [2, 11, 3]),
+    ];
+    for (i, (name, op, dims)) in shapes.into_iter().enumerate() {
+        cases.push(Case::new(name, op, vec![random(i as u64, dims).into()]));
+    }
+    cases.push(Case::new("1e30", op(3, 2, 1), vec![random_scaled(90, [3, 9, 9], 1e30)]));
+    cases.push(Case::new("1e-30", op(3, 2, 1), vec![random_scaled(91, [3, 9, 9], 1e-30)]));
+    cases
+}

@@ -1,0 +1,364 @@
+//! Non-maximum suppression.
+
+use crate::cpu::{self, NmsRule};
+use crate::error::{Error, Result};
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::boxes::row;
+use crate::ops::case::{Case, integers, random, random_boxes, random_integers, values};
+use crate::ops::count::{count_tensor, expect_count, live};
+use crate::ops::op::{Entry, Op, Tolerance, dims, expect, expect_inputs};
+use crate::ops::params::Params as Named;
+use crate::ops::top_k::TopK;
+use crate::shape::{DType, TensorSpec};
+use crate::tensor::{Tensor, Value};
+
+shader_params! {
+    struct Params {
+        boxes: u32,
+        words: u32,
+        max_out: u32,
+        iou_threshold: f32,
+        min_score: f32,
+        min_size: f32,
+        has_classes: u32,
+        zero: u32,
+    }
+}
+
+static SHADER: Shader =
+    Shader { stem: "nms", source: include_str!("../../wgsl/nms.wgsl"), params: PARAMS };
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "nms", shader: &SHADER, build, cases };
+
+/// Boxes that the shader's one workgroup can scan.
+const MAX_BOXES: usize = 1024;
+
+/// Greedy non-maximum suppression by descending score, ties by lower index.
+///
+/// A box is dropped if its intersection over union with a better box that was kept is above the
+/// threshold; equality keeps it, as in `torchvision.ops.nms`. The comparison is defined in f32
+/// without a division ([`cpu::iou_above`]), so that indices are equal on every device.
+///
+/// Inputs: `boxes` f32 `[N, 4]`, `scores` f32 `[N]`, `classes` u32 `[N]` if `classes`, `count` u32
+/// `[1]` if `count`: only boxes below it take part. Outputs: `keep` u32 `[min(N, max_out)]`, indices
+/// into the inputs, and `count` u32 `[1]`, which is how many of them are written.
+#[derive(Clone, Copy, Debug)]
+pub struct Nms {
+    /// A box with more intersection over union than this with a better one is dropped.
+    pub iou_threshold: f32,
+    /// Largest number of boxes kept: the best.
+    pub max_out: usize,
+    /// Only boxes with a score above this take part; −∞ lets in every number.
+    pub min_score: f32,
+    /// Only boxes at least this wide and high take part (torchvision's `remove_small_boxes`); 0
+    /// lets in all but inverted boxes.
+    pub min_size: f32,
+    /// Whether the scores descend already, so that no sort is needed.
+    pub sorted: bool,
+    /// Whether there are classes; boxes of different classes do not suppress each other.
+    pub classes: bool,
+    /// Whether a count limits the boxes.
+    pub count: bool,
+}
+
+impl Default for Nms {
+    fn default() -> Self {
+        Self {
+            iou_threshold: 0.5,
+            max_out: MAX_BOXES,
+            min_score: f32::NEG_INFINITY,
+            min_size: 0.0,
+            sorted: false,
+            classes: false,
+            count: false,
+        }
+    }
+}
+
+impl Nms {
+    /// The optional inputs: classes and count.
+    fn optional<'a, T>(&self, inputs: &'a [T]) -> (Option<&'a T>, Option<&'a T>) {
+        let classes = self.classes.then(|| &inputs[2]);
+        let count = self.count.then(|| &inputs[2 + usize::from(self.classes)]);
+        (classes, count)
+    }
+}
+
+impl Op for Nms {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        let mut names = vec!["boxes", "scores"];
+        names.extend(self.classes.then_some("classes"));
+        names.extend(self.count.then_some("count"));
+        names
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["keep", "count"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        expect_inputs(self, inputs.len())?;
+        let name = self.name();
+        if self.max_out == 0 {
+            return Err(Error::param(name, "max_out", "at least 1", self.max_out));
+        }
+        if !(0.0..=1.0).contains(&self.iou_threshold) {
+            return Err(Error::param(name, "iou_threshold", "0 to 1", self.iou_threshold));
+        }
+        let [n, sides] = dims(name, "boxes", &inputs[0], DType::F32)?;
+        if sides != 4 || n == 0 {
+            let expected = "f32 [N, 4] with N above 0";
+            return Err(Error::tensor(name, "boxes", expected, &inputs[0]));
+        }
+        expect(name, "scores", &TensorSpec::f32([n]), &inputs[1])?;
+        let (classes, count) = self.optional(inputs);
+        if let Some(classes) = classes {
+            expect(name, "classes", &TensorSpec::u32([n]), classes)?;
+        }
+        expect_count(name, count)?;
+        Ok(vec![TensorSpec::u32([n.min(self.max_out)]), TensorSpec::u32([1])])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let (boxes, scores) = (inputs[0], inputs[1]);
+        let (classes, count) = self.optional(inputs);
+        let n = recording.dims(boxes)[0];
+        if n > MAX_BOXES {
+            return Err(Error::Capacity {
+                what: "boxes for nms".into(),
+                needed: n as u64,
+                available: MAX_BOXES as u64,
+            });
+        }
+        let (order, count) = if self.sorted {
+            let order = recording.constant("order", Tensor::from_fn([n], |i| i as u32));
+            (order, count_tensor(recording, count.copied(), n))
+        } else {
+            let values = recording.scratch("sorted scores", TensorSpec::f32([n]));
+            let order = recording.scratch("order", TensorSpec::u32([n]));
+            let sorted = recording.scratch("sorted", TensorSpec::u32([1]));
+            let sort: Vec<_> = [Some(scores), count.copied()].into_iter().flatten().collect();
+            let top = TopK { k: n, count: self.count };
+            top.record(recording, &sort, &[values, order, sorted])?;
+            (order, sorted)
+        };
+        let words = n.div_ceil(32);
+        let suppressed = recording.scratch("suppressed", TensorSpec::u32([n, words]));
+        let params = Params {
+            boxes: n as u32,
+            words: words as u32,
+            max_out: self.max_out.min(n) as u32,
+            iou_threshold: self.iou_threshold,
+            min_score: self.min_score,
+            min_size: self.min_size,
+            has_classes: u32::from(self.classes),
+            zero: 0,
+        };
+        let params = bytemuck::bytes_of(&params).to_vec();
+        recording.dispatch(Dispatch {
+            shader: &SHADER,
+            entry: "mask",
+            constants: vec![],
+            params: params.clone(),
+            bindings: vec![
+                ("boxes", boxes),
+                // Any readable buffer serves where there are no classes: it is not read.
+                ("classes", *classes.unwrap_or(&order)),
+                ("order", order),
+                ("input_count", count),
+                ("suppressed", suppressed),
+            ],
+            grid: Grid::linear(n * words, 64),
+        });
+        recording.dispatch(Dispatch {
+            shader: &SHADER,
+            entry: "scan",
+            constants: vec![],
+            params,
+            bindings: vec![
+                ("boxes", boxes),
+                ("scores", scores),
+                ("order", order),
+                ("input_count", count),
+                ("suppressed", suppressed),
+                ("keep", outputs[0]),
+                ("output_count", outputs[1]),
+            ],
+            grid: Grid::Workgroups([1, 1, 1]),
+        });
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        let specs = self.infer(&inputs.iter().map(|v| v.spec()).collect::<Vec<_>>())?;
+        let (boxes, scores) = (inputs[0].f32()?, inputs[1].f32()?);
+        let (classes, count) = self.optional(inputs);
+        let n = live(count.copied(), scores.data().len())?;
+        let boxes: Vec<_> = (0..n).map(|i| row(boxes.data(), i)).collect();
+        let classes = classes.map(|c| c.u32()).transpose()?.map(|c| &c.data()[..n]);
+        let rule = NmsRule {
+            iou_threshold: self.iou_threshold,
+            min_score: self.min_score,
+            min_size: self.min_size,
+        };
+        let mut keep = cpu::nms(&boxes, &scores.data()[..n], classes, rule, self.sorted);
+        keep.truncate(self.max_out);
+        let count = keep.len() as u32;
+        keep.resize(specs[0].shape.elements(), 0);
+        Ok(vec![
+            Tensor::new(specs[0].shape.clone(), keep)?.into(),
+            Tensor::from_fn([1], |_| count).into(),
+        ])
+    }
+
+    fn tolerance(&self, _inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        Ok(vec![Tolerance::Exact; 2])
+    }
+
+    fn defined(&self, reference: &[Value], _inputs: &[&Value]) -> Vec<usize> {
+        vec![live(Some(&reference[1]), usize::MAX).unwrap_or(0), 1]
+    }
+}
+
+fn build(params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {
+    let default = Nms::default();
+    Ok(Box::new(Nms {
+        iou_threshold: params.take("iou_threshold", default.iou_threshold)?,
+        max_out: params.take("max_out", default.max_out)?,
+        min_score: params.take("min_score", default.min_score)?,
+        min_size: params.take("min_size", default.min_size)?,
+        sorted: params.take("sorted", false)?,
+        classes: present.contains(&"classes"),
+        count: present.contains(&"count"),
+    }))
+}
+
+fn cases() -> Vec<Case> {
+    let half = Nms::default();
+    // Boxes 0 and 1 share 10·5 of 150, 1/3; 0 and 2 share 10·8 of 100, 0.8; 3 is apart.
+    let four = || {
+        values(
+            [4, 4],
+            &[
+                0.0, 0.0, 10.0, 10.0, 0.0, 5.0, 10.0, 15.0, 0.0, 0.0, 10.0, 8.0, 50.0, 50.0, 60.0,
+                51.0,
+            ],
+        )
+    };
+    let four_scores = || values([4], &[0.5, 0.9, 0.6, 0.7]);
+    // 3·4 of 4·4 + 3·4 − 12 = 16: exactly 3/4. 8·8 and its half: exactly 1/2. Twelve apart.
+    let equal = || {
+        values(
+            [4, 4],
+            &[
+                0.0, 0.0, 4.0, 4.0, 0.0, 0.0, 3.0, 4.0, 20.0, 20.0, 28.0, 28.0, 20.0, 24.0, 28.0,
+                28.0,
+            ],
+        )
+    };
+    let by_hand = |name: &str, op: Nms, inputs: Vec<Value>, keep: &[u32], count: u32| {
+        let keep = integers([keep.len()], keep);
+        Case::new(name, op, inputs).by_hand(vec![keep, integers([1], &[count])])
+    };
+    let ranks = |n: usize| -> Value { Tensor::from_fn([n], |i| -(i as f32)).into() };
+    let mut cases = vec![
+        by_hand("by hand", half, vec![four(), four_scores()], &[1, 3, 2, 0], 3),
+        by_hand(
+            "classes by hand",
+            Nms { classes: true, ..half },
+            vec![four(), four_scores(), integers([4], &[1, 2, 2, 1])],
+            &[1, 3, 2, 0],
+            4,
+        ),
+        by_hand(
+            "score, size and count by hand",
+            Nms { min_score: 0.6, min_size: 2.0, count: true, ..half },
+            vec![four(), four_scores(), integers([1], &[4])],
+            &[1, 0, 0, 0],
+            1,
+        ),
+        by_hand(
+            "the best two by hand",
+            Nms { max_out: 2, ..half },
+            vec![four(), four_scores()],
+            &[1, 3],
+            2,
+        ),
+        by_hand("at the threshold of 1/2 by hand", half, vec![equal(), ranks(4)], &[0, 2, 3, 0], 3),
+        by_hand(
+            "at the threshold of 3/4 by hand",
+            Nms { iou_threshold: 0.75, ..half },
+            vec![equal(), ranks(4)],
+            &[0, 1, 2, 3],
+            4,
+        ),
+        by_hand(
+            "a hair below 3/4 by hand",
+            Nms { iou_threshold: 0.749_999_94, ..half },
+            vec![equal(), ranks(4)],
+            &[0, 2, 3, 0],
+            3,
+        ),
+        by_hand(
+            "nothing counted by hand",
+            Nms { count: true, ..half },
+            vec![four(), four_scores(), integers([1], &[0])],
+            &[0; 4],
+            0,
+        ),
+        // A box of no area has no union with itself: 0 > 0 does not hold. An inverted one is out.
+        by_hand(
+            "degenerate by hand",
+            half,
+            vec![
+                values([3, 4], &[1.0, 1.0, 1.0, 5.0, 1.0, 1.0, 1.0, 5.0, 9.0, 9.0, 3.0, 3.0]),
+                values([3], &[0.25, 0.5, 0.75]),
+            ],
+            &[1, 0, 0],
+            2,
+        ),
+        Case::new("one", half, vec![random_boxes(1, 1, 9.0, 9.0).into(), ranks(1)]),
+    ];
+    // (name, boxes, extent, side, op)
+    let third = Nms { iou_threshold: 0.3, ..half };
+    let sets = [
+        ("31 boxes", 31, 40.0, 20.0, third),
+        ("33 boxes", 33, 40.0, 20.0, third),
+        ("997 boxes", 997, 320.0, 100.0, half),
+        ("1000 crowded boxes", 1000, 60.0, 40.0, Nms { iou_threshold: 0.7, ..half }),
+        ("1024 boxes, the best 100", 1024, 320.0, 60.0, Nms { max_out: 100, ..third }),
+        ("sorted", 1000, 320.0, 80.0, Nms { sorted: true, ..third }),
+        ("counted, of three classes", 500, 100.0, 50.0, Nms { count: true, classes: true, ..half }),
+        ("sorted and counted", 700, 99.0, 50.0, Nms { sorted: true, count: true, ..half }),
+        ("small ones out", 509, 90.0, 40.0, Nms { min_size: 16.0, min_score: -0.5, ..half }),
+    ];
+    for (seed, (name, n, extent, side, op)) in sets.into_iter().enumerate() {
+        let seed = seed as u64 * 10 + 100;
+        let scores = if op.sorted { ranks(n) } else { random(seed + 1, [n]).into() };
+        let mut inputs = vec![random_boxes(seed, n, extent, side).into(), scores];
+        inputs.extend(op.classes.then(|| random_integers(seed + 2, [n], 3)));
+        inputs.extend(op.count.then(|| integers([1], &[331])));
+        cases.push(Case::new(name, op, inputs));
+    }
+    // Whole coordinates and few scores: many pairs exactly at the threshold, many ties.
+    for (seed, iou_threshold) in [(200, 0.5), (210, 0.25), (220, 0.6)] {
+        let mut boxes = random_boxes(seed, 1000, 24.0, 8.0);
+        boxes.data_mut().iter_mut().for_each(|x| *x = x.round());
+        let mut scores = random(seed + 1, [1000]);
+        scores.data_mut().iter_mut().for_each(|x| *x = (*x * 16.0).round());
+        let op = Nms { iou_threshold, ..half };
+        let name = format!("whole pixels at {iou_threshold}");
+        cases.push(Case::new(name, op, vec![boxes.into(), scores.into()]));
+    }
+    cases
+}

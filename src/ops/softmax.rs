@@ -1,0 +1,163 @@
+//! Softmax over rows.
+
+use crate::cpu;
+use crate::error::{Error, Result};
+use crate::gpu::{Dispatch, Recording, Shader, TensorId, shader_params};
+use crate::ops::case::{Case, integers, random, values};
+use crate::ops::count::{count_tensor, expect_count, live, row_grid};
+use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect_inputs};
+use crate::ops::params::Params as Named;
+use crate::shape::{DType, TensorSpec};
+use crate::tensor::{Tensor, Value};
+
+shader_params! {
+    struct Params {
+        rows: u32,
+        columns: u32,
+    }
+}
+
+static SHADER: Shader =
+    Shader { stem: "softmax", source: include_str!("../../wgsl/softmax.wgsl"), params: PARAMS };
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "softmax", shader: &SHADER, build, cases };
+
+/// Invocations of the workgroup that computes a row.
+const LANES: u32 = 64;
+
+/// Softmax over the last dimension, with the row's maximum subtracted first.
+///
+/// Inputs: `input` f32 `[R, N]`; `count` u32 `[1]` if `count`. Output: `output` f32 `[R, N]`; rows
+/// behind the count are not written.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Softmax {
+    /// Whether a count limits the rows.
+    pub count: bool,
+}
+
+impl Op for Softmax {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        let mut names = vec!["input"];
+        names.extend(self.count.then_some("count"));
+        names
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["output"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        expect_inputs(self, inputs.len())?;
+        let [rows, columns] = dims(self.name(), "input", &inputs[0], DType::F32)?;
+        if rows * columns == 0 {
+            let expected = "f32 [R, N] without a zero";
+            return Err(Error::tensor(self.name(), "input", expected, &inputs[0]));
+        }
+        expect_count(self.name(), inputs.get(1))?;
+        Ok(vec![inputs[0].clone()])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let [rows, columns] = [0, 1].map(|i| recording.dims(inputs[0])[i]);
+        let given = inputs.get(1).copied();
+        let count = count_tensor(recording, given, rows);
+        let grid = row_grid(recording, given, rows, LANES as usize, LANES)?;
+        recording.dispatch(Dispatch {
+            shader: &SHADER,
+            entry: "main",
+            constants: vec![],
+            params: bytemuck::bytes_of(&Params { rows: rows as u32, columns: columns as u32 })
+                .to_vec(),
+            bindings: vec![("input", inputs[0]), ("count", count), ("output", outputs[0])],
+            grid,
+        });
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        self.infer(&inputs.iter().map(|v| v.spec()).collect::<Vec<_>>())?;
+        let input = inputs[0].f32()?;
+        let [rows, columns] = [0, 1].map(|i| input.dims()[i]);
+        let rows = live(inputs.get(1).copied(), rows)?;
+        let mut output = Tensor::zeros(input.shape().clone());
+        let each = output.data_mut().chunks_exact_mut(columns).zip(input.data().chunks(columns));
+        for (out, row) in each.take(rows) {
+            out.copy_from_slice(&cpu::softmax(row));
+        }
+        Ok(vec![output.into()])
+    }
+
+    /// With d = max − xᵢ: the difference rounds to εd, which moves e^−d by that share; exp itself is
+    /// off by (3 + 2d) ULP (WGSL), each at most 2ε; so e^−d is off by (6 + 5d)ε. The sum is off by
+    /// n·ε and by its terms' errors, weighted with the terms; the quotient by 2.5 ULP, and the
+    /// reference rounds once.
+    fn tolerance(&self, inputs: &[&Value], reference: &[Value]) -> Result<Vec<Tolerance>> {
+        let (input, output) = (inputs[0].f32()?, reference[0].f32()?);
+        let columns = input.dims()[1];
+        let rows = input.data().chunks(columns).zip(output.data().chunks(columns));
+        let each = rows.flat_map(|(row, shares)| {
+            let highest = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+            let power = |x: f32| 6.0 + 5.0 * (f64::from(highest) - f64::from(x));
+            let sum: f64 = row.iter().zip(shares).map(|(x, s)| f64::from(*s) * power(*x)).sum();
+            let fixed = sum + columns as f64 + 6.0;
+            row.iter()
+                .zip(shares)
+                .map(|(x, s)| EPS * f64::from(*s) * (power(*x) + fixed))
+                // A driver may flush subnormals, in the exponential and in the quotient.
+                .map(|bound| bound + 2.0 * f64::from(f32::MIN_POSITIVE))
+                .collect::<Vec<_>>()
+        });
+        Ok(vec![Tolerance::Each(each.collect())])
+    }
+
+    fn defined(&self, reference: &[Value], inputs: &[&Value]) -> Vec<usize> {
+        let shape = reference[0].spec().shape;
+        vec![live(inputs.get(1).copied(), shape.0[0]).unwrap_or(0) * shape.0[1]]
+    }
+}
+
+fn build(_params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {
+    Ok(Box::new(Softmax { count: present.contains(&"count") }))
+}
+
+fn cases() -> Vec<Case> {
+    let (all, counted) = (Softmax { count: false }, Softmax { count: true });
+    // ln 1, ln 2, ln 5: shares 1/8, 2/8, 5/8; and the same far from zero.
+    let logs = [0.0, std::f32::consts::LN_2, 1.609_438];
+    let mut cases = vec![
+        Case::new("by hand", all, vec![values([2, 3], &[logs, [7.0; 3]].concat())])
+            .by_hand(vec![values([2, 3], &[0.125, 0.25, 0.625, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0])]),
+        Case::new(
+            "extremes by hand",
+            all,
+            vec![values([2, 3], &[-1000.0, 1000.0, 1000.0, -3e38, 0.0, -200.0])],
+        )
+        .by_hand(vec![values([2, 3], &[0.0, 0.5, 0.5, 0.0, 1.0, 0.0])]),
+        Case::new(
+            "one row counted by hand",
+            counted,
+            vec![values([2, 2], &[3.0, 3.0, 1.0, 2.0]), integers([1], &[1])],
+        )
+        .by_hand(vec![values([2, 2], &[0.5, 0.5, 0.0, 0.0])]),
+        Case::new("nothing counted", counted, vec![random(1, [3, 5]).into(), integers([1], &[0])]),
+        Case::new("past 65 535 rows", all, vec![random(2, [65_537, 2]).into()]),
+    ];
+    let shapes = [(1, 1), (100, 3), (7, 63), (7, 64), (7, 65), (5, 127), (3, 1000)];
+    for (seed, (rows, columns)) in shapes.into_iter().enumerate() {
+        let mut input = random(seed as u64 + 10, [rows, columns]);
+        input.data_mut().iter_mut().for_each(|x| *x *= 20.0);
+        let inputs = vec![input.into(), integers([1], &[rows as u32])];
+        cases.push(Case::new(format!("{rows} × {columns}"), counted, inputs));
+    }
+    cases
+}

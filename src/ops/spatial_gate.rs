@@ -1,0 +1,167 @@
+//! CBAM's spatial gate.
+
+use crate::cpu::{self, ConvShape};
+use crate::error::{Error, Result};
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::bounds::{magnitude, sigmoid_error, sum_error};
+use crate::ops::case::{Case, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, expect_inputs, map_dims};
+use crate::ops::params::Params as Named;
+use crate::shape::TensorSpec;
+use crate::tensor::{Tensor, Value};
+
+shader_params! {
+    struct Params {
+        height: u32,
+        width: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "spatial_gate",
+    source: include_str!("../../wgsl/spatial_gate.wgsl"),
+    params: PARAMS,
+};
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "spatial_gate", shader: &SHADER, build, cases };
+
+/// Pixels of a row that one invocation computes.
+const PIXELS: usize = 4;
+
+/// CBAM's spatial gate: the logistic function of a 7×7 convolution with padding 3.
+///
+/// Inputs: `pooled [2, H, W]` from [`SpatialPool`](crate::ops::SpatialPool), `weight [1, 2, 7, 7]`
+/// and `bias [1]` with the batch norm folded into them. Output: `output [1, H, W]`.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SpatialGate;
+
+impl Op for SpatialGate {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        vec!["pooled", "weight", "bias"]
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["output"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        expect_inputs(self, inputs.len())?;
+        let name = self.name();
+        let [maps, height, width] = map_dims(name, "pooled", &inputs[0])?;
+        if maps != 2 {
+            return Err(Error::tensor(name, "pooled", "[2, H, W]", &inputs[0]));
+        }
+        expect(name, "weight", &TensorSpec::f32([1, 2, 7, 7]), &inputs[1])?;
+        expect(name, "bias", &TensorSpec::f32([1]), &inputs[2])?;
+        Ok(vec![TensorSpec::f32([1, height, width])])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let [height, width] = [1, 2].map(|i| recording.dims(inputs[0])[i]);
+        let params = Params { height: height as u32, width: width as u32 };
+        recording.dispatch(Dispatch {
+            shader: &SHADER,
+            entry: "main",
+            constants: vec![],
+            params: bytemuck::bytes_of(&params).to_vec(),
+            bindings: vec![
+                ("pooled", inputs[0]),
+                ("weight", inputs[1]),
+                ("bias", inputs[2]),
+                ("output", outputs[0]),
+            ],
+            grid: Grid::linear(height * width.div_ceil(PIXELS), 64),
+        });
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        check_inputs(self, inputs)?;
+        let [pooled, weight, bias] = [inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?];
+        Ok(vec![cpu::spatial_gate(pooled, weight, bias).into()])
+    }
+
+    /// The logit is a sum of 98 products and a bias.
+    fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        let [pooled, weight, bias] =
+            [magnitude(inputs[0])?, magnitude(inputs[1])?, magnitude(inputs[2])?];
+        let shape = ConvShape { stride: 1, padding: 3, dilation: 1 };
+        let sizes = cpu::conv2d(&pooled, &weight, Some(&bias), None, shape, false);
+        let each = sizes.data().iter().map(|s| sigmoid_error(sum_error(100, f64::from(*s))));
+        Ok(vec![Tolerance::Each(each.collect())])
+    }
+}
+
+fn build(_params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
+    Ok(Box::new(SpatialGate))
+}
+
+fn cases() -> Vec<Case> {
+    // A kernel of zeros but for one tap.
+    let tap = |plane: usize, y: usize, x: usize, weight: f32| -> Value {
+        let at = (plane * 7 + y) * 7 + x;
+        Tensor::from_fn([1, 2, 7, 7], |i| if i == at { weight } else { 0.0 }).into()
+    };
+    let ln3 = 1.098_612_3;
+    let mut cases = vec![
+        // Tap (0, 6) of the second plane looks 3 rows up and 3 columns to the right: only the last
+        // row's first pixel finds the map's upper right corner, 2 there; the rest is padding. The
+        // bias ln 3 makes 3/4, and ln 3 − ln 3 · 2 / 2 makes 1/2.
+        Case::new(
+            "one tap in a corner by hand",
+            SpatialGate,
+            vec![
+                values(
+                    [2, 4, 4],
+                    &std::array::from_fn::<f32, 32, _>(|i| if i == 19 { 2.0 } else { 0.0 }),
+                ),
+                tap(1, 0, 6, -ln3 / 2.0),
+                values([1], &[ln3]),
+            ],
+        )
+        .by_hand(vec![values(
+            [1, 4, 4],
+            &std::array::from_fn::<f32, 16, _>(|i| if i == 12 { 0.5 } else { 0.75 }),
+        )]),
+        Case::new(
+            "saturated by hand",
+            SpatialGate,
+            vec![
+                values([2, 1, 4], &[1e4, -1e4, 1e30, -1e30, 0.0, 0.0, 0.0, 0.0]),
+                tap(0, 3, 3, 1.0),
+                values([1], &[0.0]),
+            ],
+        )
+        .by_hand(vec![values([1, 1, 4], &[1.0, 0.0, 1.0, 0.0])]),
+    ];
+    let shapes = [
+        ("one pixel", [2, 1, 1], 1.0),
+        ("narrower than the kernel", [2, 5, 2], 1.0),
+        ("prime sizes", [2, 17, 19], 0.1),
+        ("63 quads: a workgroup less one", [2, 7, 36], 0.1),
+        ("65 quads: a workgroup and one", [2, 5, 49], 0.1),
+        ("as conv2_x", [2, 80, 80], 0.1),
+        ("1e-30", [2, 9, 11], 1e-30),
+        ("steep", [2, 9, 11], 100.0),
+    ];
+    for (i, (name, dims, scale)) in shapes.into_iter().enumerate() {
+        let seed = i as u64 * 10;
+        let inputs = vec![
+            random_scaled(seed, dims, scale),
+            random(seed + 1, [1, 2, 7, 7]).into(),
+            random(seed + 2, [1]).into(),
+        ];
+        cases.push(Case::new(name, SpatialGate, inputs));
+    }
+    cases
+}

@@ -1,0 +1,141 @@
+//! CBAM's pooling over channels.
+
+use crate::cpu;
+use crate::error::Result;
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::bounds::{magnitude, sum_error};
+use crate::ops::case::{Case, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, expect_inputs, map_dims};
+use crate::ops::params::Params as Named;
+use crate::shape::TensorSpec;
+use crate::tensor::Value;
+
+shader_params! {
+    struct Params {
+        channels: u32,
+        area: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "spatial_pool",
+    source: include_str!("../../wgsl/spatial_pool.wgsl"),
+    params: PARAMS,
+};
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "spatial_pool", shader: &SHADER, build, cases };
+
+/// Pixels that one workgroup computes.
+const PIXELS: usize = 32;
+
+/// Maximum and mean over the channels of the gated map: what CBAM's spatial gate looks at.
+///
+/// Inputs: `input [C, H, W]`, `channel_gate [C]`. Output: `output [2, H, W]`, the maximum of
+/// `input · channel_gate` in row 0, its mean in row 1. The gated map itself is not stored.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SpatialPool;
+
+impl Op for SpatialPool {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        vec!["input", "channel_gate"]
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["output"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        expect_inputs(self, inputs.len())?;
+        let [channels, height, width] = map_dims(self.name(), "input", &inputs[0])?;
+        expect(self.name(), "channel_gate", &TensorSpec::f32([channels]), &inputs[1])?;
+        Ok(vec![TensorSpec::f32([2, height, width])])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
+        let params = Params { channels, area: height * width };
+        recording.dispatch(Dispatch {
+            shader: &SHADER,
+            entry: "main",
+            constants: vec![],
+            params: bytemuck::bytes_of(&params).to_vec(),
+            bindings: vec![
+                ("input", inputs[0]),
+                ("channel_gate", inputs[1]),
+                ("output", outputs[0]),
+            ],
+            grid: Grid::linear(params.area as usize, PIXELS as u32),
+        });
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        check_inputs(self, inputs)?;
+        Ok(vec![cpu::spatial_pool(inputs[0].f32()?, inputs[1].f32()?).into()])
+    }
+
+    /// A maximum is one product, so one rounding (and the reference's own) of the largest of all;
+    /// the mean is a sum of C products and a division of 2.5 ULP.
+    fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        let (input, gate) = (magnitude(inputs[0])?, magnitude(inputs[1])?);
+        let sizes = cpu::spatial_pool(&input, &gate);
+        let (largest, means) = sizes.data().split_at(sizes.data().len() / 2);
+        let maxima = largest.iter().map(|m| sum_error(2, f64::from(*m)));
+        let channels = gate.data().len();
+        let means = means.iter().map(|m| sum_error(channels + 6, f64::from(*m)));
+        Ok(vec![Tolerance::Each(maxima.chain(means).collect())])
+    }
+}
+
+fn build(_params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
+    Ok(Box::new(SpatialPool))
+}
+
+fn cases() -> Vec<Case> {
+    let mut cases = vec![
+        // Channels (1, −8), (6, −2), (−3, −4) by gates 1, 1/2, 2: products (1, −8), (3, −1),
+        // (−6, −8); maxima 3 and −1, means −2/3 and −17/3.
+        Case::new(
+            "two pixels by hand",
+            SpatialPool,
+            vec![
+                values([3, 1, 2], &[1.0, -8.0, 6.0, -2.0, -3.0, -4.0]),
+                values([3], &[1.0, 0.5, 2.0]),
+            ],
+        )
+        .by_hand(vec![values([2, 1, 2], &[3.0, -1.0, -2.0 / 3.0, -17.0 / 3.0])]),
+    ];
+    let shapes = [
+        ("one of everything", [1, 1, 1]),
+        ("prime sizes", [13, 17, 19]),
+        ("7 channels, 31 pixels: a workgroup less one", [7, 1, 31]),
+        ("9 channels, 33 pixels: a workgroup and one", [9, 3, 11]),
+        ("deep and small, as conv5_x", [512, 10, 10]),
+        ("as conv2_x", [64, 80, 80]),
+    ];
+    for (i, (name, dims)) in shapes.into_iter().enumerate() {
+        let seed = i as u64 * 10;
+        let inputs = vec![random(seed, dims).into(), random(seed + 1, [dims[0]]).into()];
+        cases.push(Case::new(name, SpatialPool, inputs));
+    }
+    for (i, scale) in [1e30, 1e-30].into_iter().enumerate() {
+        let seed = 90 + i as u64 * 10;
+        let inputs = vec![random_scaled(seed, [11, 5, 7], scale), random(seed + 1, [11]).into()];
+        cases.push(Case::new(format!("{scale:e}"), SpatialPool, inputs));
+    }
+    let mut offset = random(98, [31, 6, 7]);
+    offset.data_mut().iter_mut().for_each(|x| *x += 1e4);
+    let inputs = vec![offset.into(), random(99, [31]).into()];
+    cases.push(Case::new("an offset of 1e4", SpatialPool, inputs));
+    cases
+}

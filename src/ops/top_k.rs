@@ -1,0 +1,256 @@
+//! The k highest scores and where they are.
+
+use crate::cpu;
+use crate::error::{Error, Result};
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::case::{Case, integers, random, random_integers, values};
+use crate::ops::count::{count_tensor, expect_count, live};
+use crate::ops::op::{Entry, Op, Tolerance, expect_inputs};
+use crate::ops::params::Params as Named;
+use crate::shape::{DType, TensorSpec};
+use crate::tensor::{Tensor, Value};
+
+shader_params! {
+    struct Params {
+        channels: u32,
+        area: u32,
+        k: u32,
+        sort_size: u32,
+    }
+}
+
+static SHADER: Shader =
+    Shader { stem: "top_k", source: include_str!("../../wgsl/top_k.wgsl"), params: PARAMS };
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "top_k", shader: &SHADER, build, cases };
+
+/// Pairs that the shader sorts in workgroup memory.
+const MAX_K: usize = 1024;
+/// Scores whose index fits in the shader's 24 bits.
+const MAX_SCORES: usize = 1 << 24;
+
+/// The `k` highest scores by descending score, ties by lower index; −0 equals +0, NaN is lowest.
+///
+/// Inputs: `scores` f32 `[N]`, or `[C, H, W]`, whose elements count in torchvision's order
+/// `(H, W, C)`: index = (h · W + w) · C + c; `count` u32 `[1]` if `count`: only indices below it
+/// take part. Outputs, with K = min(k, N): `values` f32 `[K]`, `indices` u32 `[K]`, and `count` u32
+/// `[1]`, which is how many of the K are written: min(k, N, the input's count).
+#[derive(Clone, Copy, Debug)]
+pub struct TopK {
+    /// How many, at most 1024 (or the number of scores, if that is less).
+    pub k: usize,
+    /// Whether a count limits the scores.
+    pub count: bool,
+}
+
+/// Channels and positions of scores of either rank.
+fn layout(dims: &[usize]) -> Option<(usize, usize)> {
+    match dims {
+        [n] => Some((1, *n)),
+        [c, h, w] => Some((*c, h * w)),
+        _ => None,
+    }
+    .filter(|(channels, area)| channels * area > 0)
+}
+
+impl Op for TopK {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        let mut names = vec!["scores"];
+        names.extend(self.count.then_some("count"));
+        names
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["values", "indices", "count"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        expect_inputs(self, inputs.len())?;
+        if self.k == 0 {
+            return Err(Error::param(self.name(), "k", "at least 1", self.k));
+        }
+        let scores = &inputs[0];
+        let fits = layout(&scores.shape.0).filter(|_| scores.dtype == DType::F32);
+        let Some((channels, area)) = fits else {
+            let expected = "f32 [N] or [C, H, W] without a zero";
+            return Err(Error::tensor(self.name(), "scores", expected, scores));
+        };
+        expect_count(self.name(), inputs.get(1))?;
+        let k = self.k.min(channels * area);
+        Ok(vec![TensorSpec::f32([k]), TensorSpec::u32([k]), TensorSpec::u32([1])])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let n = recording.info(inputs[0]).spec.shape.elements();
+        let (channels, area) = layout(recording.dims(inputs[0])).unwrap_or((1, n));
+        let k = self.k.min(n);
+        let limits = [("scores to sort (`k` of top_k)", k, MAX_K), ("scores", n, MAX_SCORES)];
+        for (what, needed, available) in limits {
+            if needed > available {
+                return Err(Error::Capacity {
+                    what: what.into(),
+                    needed: needed as u64,
+                    available: available as u64,
+                });
+            }
+        }
+        let count = count_tensor(recording, inputs.get(1).copied(), n);
+        let params = Params {
+            channels: channels as u32,
+            area: area as u32,
+            k: k as u32,
+            sort_size: k.next_power_of_two() as u32,
+        };
+        recording.dispatch(Dispatch {
+            shader: &SHADER,
+            entry: "main",
+            constants: vec![],
+            params: bytemuck::bytes_of(&params).to_vec(),
+            bindings: vec![
+                ("scores", inputs[0]),
+                ("input_count", count),
+                ("values", outputs[0]),
+                ("indices", outputs[1]),
+                ("output_count", outputs[2]),
+            ],
+            grid: Grid::Workgroups([1, 1, 1]),
+        });
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        let specs = self.infer(&inputs.iter().map(|v| v.spec()).collect::<Vec<_>>())?;
+        let scores = inputs[0].f32()?;
+        let n = live(inputs.get(1).copied(), scores.data().len())?;
+        let (channels, area) = layout(scores.dims()).unwrap_or((1, n));
+        let in_order: Vec<f32> =
+            (0..n).map(|i| scores.data()[i % channels * area + i / channels]).collect();
+        let best = cpu::top_k(&in_order, self.k);
+        let k = specs[0].shape.clone();
+        let index = |i: usize| best.get(i).copied().unwrap_or(0);
+        Ok(vec![
+            Tensor::from_fn(k.clone(), |i| best.get(i).map_or(0.0, |b| in_order[*b as usize]))
+                .into(),
+            Tensor::from_fn(k, index).into(),
+            Tensor::from_fn([1], |_| best.len() as u32).into(),
+        ])
+    }
+
+    fn tolerance(&self, _inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        Ok(vec![Tolerance::Exact; 3])
+    }
+
+    fn defined(&self, reference: &[Value], _inputs: &[&Value]) -> Vec<usize> {
+        let count = live(Some(&reference[2]), usize::MAX).unwrap_or(0);
+        vec![count, count, 1]
+    }
+}
+
+fn build(params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {
+    Ok(Box::new(TopK { k: params.require("k")?, count: present.contains(&"count") }))
+}
+
+fn cases() -> Vec<Case> {
+    let all = |k: usize| TopK { k, count: false };
+    let counted = |k: usize| TopK { k, count: true };
+    let mut cases = vec![
+        Case::new("by hand", all(3), vec![values([5], &[0.5, -1.0, 2.0, 0.25, 2.0])]).by_hand(
+            vec![values([3], &[2.0, 2.0, 0.5]), integers([3], &[2, 4, 0]), integers([1], &[3])],
+        ),
+        // Index = (h · 2 + w) · 2 + c: channel 0 holds indices 0, 2, 4, 6.
+        Case::new(
+            "channels last by hand",
+            all(4),
+            vec![values([2, 2, 2], &[1.0, 5.0, 3.0, 7.0, 8.0, 4.0, 6.0, 2.0])],
+        )
+        .by_hand(vec![
+            values([4], &[8.0, 7.0, 6.0, 5.0]),
+            integers([4], &[1, 6, 5, 2]),
+            integers([1], &[4]),
+        ]),
+        Case::new(
+            "only the counted by hand",
+            counted(3),
+            vec![values([4], &[1.0, 2.0, 9.0, 9.0]), integers([1], &[2])],
+        )
+        .by_hand(vec![
+            values([3], &[2.0, 1.0, 0.0]),
+            integers([3], &[1, 0, 0]),
+            integers([1], &[2]),
+        ]),
+        // NaN last, −0 and +0 equal, subnormals and infinities in their places.
+        Case::new(
+            "extremes by hand",
+            all(9),
+            vec![values(
+                [9],
+                &[
+                    f32::NAN,
+                    -0.0,
+                    0.0,
+                    f32::NEG_INFINITY,
+                    1e-45,
+                    f32::INFINITY,
+                    f32::MIN,
+                    -1e-45,
+                    f32::MAX,
+                ],
+            )],
+        )
+        .by_hand(vec![
+            values(
+                [9],
+                &[
+                    f32::INFINITY,
+                    f32::MAX,
+                    1e-45,
+                    -0.0,
+                    0.0,
+                    -1e-45,
+                    f32::MIN,
+                    f32::NEG_INFINITY,
+                    f32::NAN,
+                ],
+            ),
+            integers([9], &[5, 8, 4, 1, 2, 7, 6, 3, 0]),
+            integers([1], &[9]),
+        ]),
+        Case::new("one", all(1), vec![values([1], &[-3.0])]),
+        Case::new("k above the number", all(1000), vec![random(1, [7]).into()]),
+        Case::new("nothing counted", counted(5), vec![random(2, [9]).into(), integers([1], &[0])]),
+        Case::new("count above all", counted(5), vec![random(3, [9]).into(), integers([1], &[99])]),
+        Case::new("a workgroup less one", all(255), vec![random(4, [255]).into()]),
+        Case::new("a workgroup and one", all(257), vec![random(5, [257]).into()]),
+        Case::new("all equal", all(1000), vec![Tensor::<f32>::zeros([5003]).into()]),
+        Case::new("all NaN", all(5), vec![Tensor::from_fn([11], |_| f32::NAN).into()]),
+        Case::new("primes, channels last", all(613), vec![random(6, [7, 31, 29]).into()]),
+        Case::new(
+            "counted, channels last",
+            counted(500),
+            vec![random(7, [3, 40, 41]).into(), integers([1], &[1009])],
+        ),
+        Case::new("k of 1024", all(1024), vec![random(8, [24_000]).into()]),
+        Case::new("100 003 scores", all(1000), vec![random(9, [100_003]).into()]),
+    ];
+    // Few distinct scores: the cut is among ties, in every digit of the index.
+    for (seed, n, below) in [(10, 1000, 3), (11, 70_001, 2), (12, 70_001, 60)] {
+        if let Value::U32(ranks) = random_integers(seed, [n], below) {
+            let scores = Tensor::from_fn([n], |i| ranks.data()[i] as f32 - 1.0);
+            cases.push(Case::new(format!("{below} scores, {n}"), all(997), vec![scores.into()]));
+        }
+    }
+    // Ever lower: the radix select goes through all bytes of the key.
+    let close = Tensor::from_fn([3001], |i| f32::from_bits(0x3f80_0000 + (i as u32 * 7) % 3001));
+    cases.push(Case::new("neighbouring values", all(700), vec![close.into()]));
+    cases
+}

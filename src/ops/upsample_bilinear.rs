@@ -1,0 +1,186 @@
+//! Bilinear interpolation to another size.
+
+use crate::cpu;
+use crate::error::{Error, Result};
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::bounds::{magnitude, sum_error};
+use crate::ops::case::{Case, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect_inputs, map_dims};
+use crate::ops::params::Params as Named;
+use crate::shape::TensorSpec;
+use crate::tensor::Value;
+
+shader_params! {
+    struct Params {
+        channels: u32,
+        in_height: u32,
+        in_width: u32,
+        out_height: u32,
+        out_width: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "upsample_bilinear",
+    source: include_str!("../../wgsl/upsample_bilinear.wgsl"),
+    params: PARAMS,
+};
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "upsample_bilinear", shader: &SHADER, build, cases };
+
+/// Longest edge: the shader's positions, twice the product of two, stay below 2³².
+const MAX_EDGE: usize = 32_768;
+
+/// PyTorch's `interpolate(mode="bilinear", align_corners=False)` to a given size.
+///
+/// Input: `input [C, H, W]`. Output: `output [C, out_height, out_width]`. The size may also shrink;
+/// there is no antialiasing.
+#[derive(Clone, Copy, Debug)]
+pub struct UpsampleBilinear {
+    /// Rows of the output.
+    pub out_height: usize,
+    /// Columns of the output.
+    pub out_width: usize,
+}
+
+impl Op for UpsampleBilinear {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        vec!["input"]
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["output"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        expect_inputs(self, inputs.len())?;
+        let name = self.name();
+        for (param, value) in [("out_height", self.out_height), ("out_width", self.out_width)] {
+            if !(1..=MAX_EDGE).contains(&value) {
+                return Err(Error::param(name, param, format!("1 to {MAX_EDGE}"), value));
+            }
+        }
+        let [channels, height, width] = map_dims(name, "input", &inputs[0])?;
+        if height.max(width) > MAX_EDGE {
+            let expected = format!("edges of at most {MAX_EDGE}");
+            return Err(Error::tensor(name, "input", expected, &inputs[0]));
+        }
+        Ok(vec![TensorSpec::f32([channels, self.out_height, self.out_width])])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let [channels, in_height, in_width] =
+            [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
+        let params = Params {
+            channels,
+            in_height,
+            in_width,
+            out_height: self.out_height as u32,
+            out_width: self.out_width as u32,
+        };
+        recording.dispatch(Dispatch {
+            shader: &SHADER,
+            entry: "main",
+            constants: vec![],
+            params: bytemuck::bytes_of(&params).to_vec(),
+            bindings: vec![("input", inputs[0]), ("output", outputs[0])],
+            grid: Grid::linear(recording.info(outputs[0]).spec.shape.elements(), 64),
+        });
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        check_inputs(self, inputs)?;
+        let input = inputs[0].f32()?;
+        Ok(vec![cpu::upsample_bilinear(input, self.out_height, self.out_width).into()])
+    }
+
+    /// A part of a pixel is 2.5 ULP off by its division, which is 5 roundings, and so is one minus
+    /// it, with one more; with the products and the sum each axis makes at most 14 roundings
+    /// relative to the largest of the four values that meet.
+    fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        let sizes = magnitude(inputs[0])?;
+        let [height, width] = [1, 2].map(|i| sizes.dims()[i]);
+        let (out_height, out_width) = (self.out_height, self.out_width);
+        // The two pixels around output `i`, one more on each side where the position rounds.
+        let around = |i: usize, input: usize, output: usize| {
+            let position = ((2 * i + 1) * input).saturating_sub(output) / (2 * output);
+            position.saturating_sub(1)..(position + 2).min(input)
+        };
+        let each = (0..sizes.dims()[0] * out_height * out_width).map(|at| {
+            let (row, x) = (at / out_width, at % out_width);
+            let (channel, y) = (row / out_height, row % out_height);
+            let mut largest = 0.0f32;
+            for iy in around(y, height, out_height) {
+                for ix in around(x, width, out_width) {
+                    largest = largest.max(sizes.data()[(channel * height + iy) * width + ix]);
+                }
+            }
+            sum_error(28, f64::from(largest))
+        });
+        Ok(vec![Tolerance::Each(each.collect())])
+    }
+}
+
+fn build(params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
+    Ok(Box::new(UpsampleBilinear {
+        out_height: params.require("out_height")?,
+        out_width: params.require("out_width")?,
+    }))
+}
+
+fn cases() -> Vec<Case> {
+    let to = |out_height, out_width| UpsampleBilinear { out_height, out_width };
+    let mut cases = vec![
+        // Output centres at −1/4, 1/4, 3/4 and 5/4 between the centres of 0 and 8.
+        Case::new("2 to 4 by hand", to(1, 4), vec![values([1, 1, 2], &[0.0, 8.0])])
+            .by_hand(vec![values([1, 1, 4], &[0.0, 2.0, 6.0, 8.0])]),
+        Case::new("one pixel to 2x3 by hand", to(2, 3), vec![values([1, 1, 1], &[-2.5])])
+            .by_hand(vec![values([1, 2, 3], &[-2.5; 6])]),
+        // Rows at 0, 1/2, 1; columns at 0, 2/5, 1, 8/5, 2.
+        Case::new(
+            "2x3 to 3x5 by hand",
+            to(3, 5),
+            vec![values([1, 2, 3], &[1.0, 2.0, 4.0, 8.0, 16.0, 32.0])],
+        )
+        .by_hand(vec![values(
+            [1, 3, 5],
+            &[1.0, 1.4, 2.0, 3.2, 4.0, 4.5, 6.3, 9.0, 14.4, 18.0, 8.0, 11.2, 16.0, 25.6, 32.0],
+        )]),
+        // Every second pixel between two, as there is no antialiasing: 6 to 3 looks at 1/2, 5/2,
+        // 9/2.
+        Case::new(
+            "6 to 3 by hand",
+            to(1, 3),
+            vec![values([1, 1, 6], &[1.0, 3.0, 5.0, 5.0, -1.0, 0.0])],
+        )
+        .by_hand(vec![values([1, 1, 3], &[2.0, 5.0, -0.5])]),
+    ];
+    let shapes = [
+        ("stride 16 to 8", [31, 20, 20], to(40, 40)),
+        ("stride 32 to 8", [17, 10, 10], to(40, 40)),
+        ("prime sizes", [3, 7, 11], to(29, 31)),
+        ("one pixel to a column", [5, 1, 1], to(13, 1)),
+        ("63 outputs: a workgroup less one", [1, 4, 3], to(9, 7)),
+        ("65 outputs: a workgroup and one", [1, 4, 3], to(13, 5)),
+        ("same size", [3, 9, 8], to(9, 8)),
+        ("smaller", [3, 23, 29], to(7, 5)),
+        ("to the longest edge", [1, 1, 3], to(1, MAX_EDGE)),
+    ];
+    for (i, (name, dims, op)) in shapes.into_iter().enumerate() {
+        cases.push(Case::new(name, op, vec![random(i as u64, dims).into()]));
+    }
+    cases.push(Case::new("1e30", to(9, 11), vec![random_scaled(90, [3, 5, 7], 1e30)]));
+    cases.push(Case::new("1e-30", to(9, 11), vec![random_scaled(91, [3, 5, 7], 1e-30)]));
+    cases
+}

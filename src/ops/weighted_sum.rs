@@ -1,0 +1,170 @@
+//! Weighted sum of maps.
+
+use crate::cpu;
+use crate::error::{Error, Result};
+use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::ops::bounds::{magnitude, sum_error};
+use crate::ops::case::{Case, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, expect_inputs, map_dims};
+use crate::ops::params::Params as Named;
+use crate::shape::TensorSpec;
+use crate::tensor::Value;
+
+shader_params! {
+    struct Params {
+        elements: u32,
+        maps: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "weighted_sum",
+    source: include_str!("../../wgsl/weighted_sum.wgsl"),
+    params: PARAMS,
+};
+
+/// This operation in [`crate::ops::OPS`].
+pub static ENTRY: Entry = Entry { name: "weighted_sum", shader: &SHADER, build, cases };
+
+/// The maps by name. With the weights and the output they take seven of the eight storage buffers
+/// that a stage has.
+const MAPS: [&str; 5] = ["map0", "map1", "map2", "map3", "map4"];
+
+/// RW-Net's fused map: `Σ weights[k] · mapk`.
+///
+/// Inputs: `weights [K]`, then `map0` … `map{K−1}`, each `[C, H, W]`; K is 1 to 5. Output:
+/// `output [C, H, W]`.
+#[derive(Clone, Copy, Debug)]
+pub struct WeightedSum {
+    /// How many maps: 3 in SMR-Net.
+    pub maps: usize,
+}
+
+impl WeightedSum {
+    fn check_maps(&self) -> Result<()> {
+        if !(1..=MAPS.len()).contains(&self.maps) {
+            let expected = format!("1 to {}", MAPS.len());
+            return Err(Error::param(ENTRY.name, "maps", expected, self.maps));
+        }
+        Ok(())
+    }
+}
+
+impl Op for WeightedSum {
+    fn name(&self) -> &'static str {
+        ENTRY.name
+    }
+
+    fn inputs(&self) -> Vec<&'static str> {
+        [&["weights"], &MAPS[..self.maps.min(MAPS.len())]].concat()
+    }
+
+    fn outputs(&self) -> Vec<&'static str> {
+        vec!["output"]
+    }
+
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        self.check_maps()?;
+        expect_inputs(self, inputs.len())?;
+        let name = self.name();
+        expect(name, "weights", &TensorSpec::f32([self.maps]), &inputs[0])?;
+        map_dims(name, "map0", &inputs[1])?;
+        for (map, spec) in MAPS.iter().zip(&inputs[1..]) {
+            expect(name, map, &inputs[1], spec)?;
+        }
+        Ok(vec![inputs[1].clone()])
+    }
+
+    fn record(
+        &self,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let elements = recording.info(outputs[0]).spec.shape.elements();
+        let params = Params { elements: elements as u32, maps: self.maps as u32 };
+        let mut bindings = vec![("weights", inputs[0])];
+        for (k, name) in MAPS.into_iter().enumerate() {
+            // Any readable buffer serves behind the last map: it is not read.
+            bindings.push((name, *inputs.get(k + 1).unwrap_or(&inputs[1])));
+        }
+        bindings.push(("output", outputs[0]));
+        recording.dispatch(Dispatch {
+            shader: &SHADER,
+            entry: "main",
+            constants: vec![],
+            params: bytemuck::bytes_of(&params).to_vec(),
+            bindings,
+            grid: Grid::linear(elements, 64),
+        });
+        Ok(())
+    }
+
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        check_inputs(self, inputs)?;
+        let maps = inputs[1..].iter().map(|v| v.f32()).collect::<Result<Vec<_>>>()?;
+        Ok(vec![cpu::weighted_sum(inputs[0].f32()?, &maps).into()])
+    }
+
+    /// A sum of K products, and the reference's own rounding.
+    fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        let sizes = inputs.iter().map(|v| magnitude(v)).collect::<Result<Vec<_>>>()?;
+        let sums = cpu::weighted_sum(&sizes[0], &sizes[1..].iter().collect::<Vec<_>>());
+        let each = sums.data().iter().map(|s| sum_error(self.maps + 1, f64::from(*s)));
+        Ok(vec![Tolerance::Each(each.collect())])
+    }
+}
+
+fn build(_params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {
+    let maps = MAPS.iter().filter(|name| present.contains(name)).count();
+    let op = WeightedSum { maps };
+    op.check_maps()?;
+    Ok(Box::new(op))
+}
+
+fn cases() -> Vec<Case> {
+    let mut cases = vec![
+        // 0.5·1 + 0.25·8 − 2·1 = 0.5; 0.5·2 + 0.25·4 − 2·(−3) = 8.
+        Case::new(
+            "three maps by hand",
+            WeightedSum { maps: 3 },
+            vec![
+                values([3], &[0.5, 0.25, -2.0]),
+                values([1, 1, 2], &[1.0, 2.0]),
+                values([1, 1, 2], &[8.0, 4.0]),
+                values([1, 1, 2], &[1.0, -3.0]),
+            ],
+        )
+        .by_hand(vec![values([1, 1, 2], &[0.5, 8.0])]),
+        // 1 + 20 + 300 + 4000 + 50000: each map counts once, in its place.
+        Case::new(
+            "five maps by hand",
+            WeightedSum { maps: 5 },
+            vec![
+                values([5], &[1.0, 2.0, 3.0, 4.0, 5.0]),
+                values([1, 1, 1], &[1.0]),
+                values([1, 1, 1], &[10.0]),
+                values([1, 1, 1], &[100.0]),
+                values([1, 1, 1], &[1e3]),
+                values([1, 1, 1], &[1e4]),
+            ],
+        )
+        .by_hand(vec![values([1, 1, 1], &[54_321.0])]),
+    ];
+    let shapes = [
+        ("one map, one element", 1, [1, 1, 1], 1.0),
+        ("two maps, 63 elements: a workgroup less one", 2, [7, 3, 3], 1.0),
+        ("four maps, 65 elements: a workgroup and one", 4, [13, 1, 5], 1.0),
+        ("as the fusion", 3, [256, 40, 40], 1.0),
+        ("prime sizes", 3, [13, 17, 19], 1.0),
+        ("1e30", 3, [3, 5, 7], 1e30),
+        ("1e-30", 3, [3, 5, 7], 1e-30),
+    ];
+    for (i, (name, maps, dims, scale)) in shapes.into_iter().enumerate() {
+        let seed = i as u64 * 10;
+        let mut inputs: Vec<Value> = vec![random(seed, [maps]).into()];
+        inputs.extend((0..maps).map(|k| random_scaled(seed + 1 + k as u64, dims, scale)));
+        cases.push(Case::new(name, WeightedSum { maps }, inputs));
+    }
+    cases
+}

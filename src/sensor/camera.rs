@@ -1,0 +1,165 @@
+//! The camera: a pinhole above the gel's centre, defocus, noise, 8 bits.
+
+use rand::Rng;
+use rand_pcg::Pcg64;
+
+use super::{MM_PER_PX, PICTURE_PX};
+
+/// A pinhole camera that looks at the gel through the acrylic.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Camera {
+    /// Distance from the pinhole to the undeformed surface, in millimetres.
+    pub distance_mm: f64,
+    /// Standard deviation of the blur, in pixels.
+    pub blur_px: f64,
+    /// Signal over noise at saturation, in decibels.
+    pub snr_db: f64,
+    /// Noise in the dark, in 8-bit levels (standard deviation).
+    pub read_noise: f64,
+}
+
+impl Default for Camera {
+    fn default() -> Self {
+        Self { distance_mm: 125.0, blur_px: 1.0, snr_db: 45.0, read_noise: 0.5 }
+    }
+}
+
+impl Camera {
+    /// Pixel at which a point of the surface appears, from its place in millimetres from the
+    /// centre and its depth: a dent comes nearer to the camera and moves outwards by
+    /// `distance / (distance − depth)`.
+    pub fn project(&self, x_mm: f64, y_mm: f64, depth_mm: f64) -> [f64; 2] {
+        let scale = self.distance_mm / (self.distance_mm - depth_mm) / MM_PER_PX;
+        let middle = PICTURE_PX as f64 / 2.0;
+        [x_mm * scale + middle, y_mm * scale + middle]
+    }
+
+    /// Standard deviation of the noise in 8-bit levels at this level: shot noise, whose variance
+    /// grows with the signal, and read noise.
+    pub fn noise(&self, level: f64) -> f64 {
+        let saturated = 255.0 / 10f64.powf(self.snr_db / 20.0);
+        let read = self.read_noise * self.read_noise;
+        (read + (saturated * saturated - read).max(0.0) * level.max(0.0) / 255.0).sqrt()
+    }
+
+    /// Blurs a plane of the picture, `[PICTURE_PX][PICTURE_PX]`, in place; edges are repeated.
+    pub fn blur(&self, plane: &mut [f32], scratch: &mut Vec<f32>) {
+        let n = PICTURE_PX;
+        let sigma = self.blur_px;
+        let radius = (2.5 * sigma).ceil() as usize;
+        let mut taps: Vec<f32> =
+            (0..=radius).map(|i| (-0.5 * (i as f64 / sigma).powi(2)).exp() as f32).collect();
+        let sum = taps[0] + 2.0 * taps[1..].iter().sum::<f32>();
+        taps.iter_mut().for_each(|t| *t /= sum);
+
+        scratch.resize(n * n, 0.0);
+        let mut padded = vec![0.0f32; n + 2 * radius];
+        for (row, out) in plane.chunks_exact(n).zip(scratch.chunks_exact_mut(n)) {
+            padded[..radius].fill(row[0]);
+            padded[radius..radius + n].copy_from_slice(row);
+            padded[radius + n..].fill(row[n - 1]);
+            for (o, &v) in out.iter_mut().zip(&padded[radius..]) {
+                *o = taps[0] * v;
+            }
+            for (i, &tap) in taps.iter().enumerate().skip(1) {
+                let left = &padded[radius - i..];
+                let right = &padded[radius + i..];
+                for ((o, &a), &b) in out.iter_mut().zip(left).zip(right) {
+                    *o += tap * (a + b);
+                }
+            }
+        }
+        for y in 0..n {
+            let out = &mut plane[y * n..(y + 1) * n];
+            for (o, &v) in out.iter_mut().zip(&scratch[y * n..]) {
+                *o = taps[0] * v;
+            }
+            for (i, &tap) in taps.iter().enumerate().skip(1) {
+                let above = &scratch[y.saturating_sub(i) * n..];
+                let below = &scratch[(y + i).min(n - 1) * n..];
+                for ((o, &a), &b) in out.iter_mut().zip(above).zip(below) {
+                    *o += tap * (a + b);
+                }
+            }
+        }
+    }
+
+    /// Adds noise to levels of 0 to 255 and rounds to 8 bits. `stride` and `offset` place the
+    /// plane among the channels of `out`.
+    pub fn digitise(
+        &self,
+        plane: &[f32],
+        normal: &NormalTable,
+        rng: &mut Pcg64,
+        out: &mut [u8],
+        offset: usize,
+        stride: usize,
+    ) {
+        let table: Vec<f32> = (0..=255).map(|l| self.noise(f64::from(l)) as f32).collect();
+        let mut targets = out.iter_mut().skip(offset).step_by(stride);
+        for values in plane.chunks(NormalTable::PER_WORD) {
+            let mut bits = rng.next_u64();
+            for &value in values {
+                let level = value.clamp(0.0, 255.0);
+                let noise = table[level as usize] * normal.value(bits);
+                bits >>= NormalTable::BITS;
+                if let Some(target) = targets.next() {
+                    *target = (level + noise + 0.5).clamp(0.0, 255.0) as u8;
+                }
+            }
+        }
+    }
+}
+
+/// Standard normal deviates by table: the middle of each of 4096 slices of equal probability.
+pub struct NormalTable(Vec<f32>);
+
+impl Default for NormalTable {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl NormalTable {
+    const BITS: u32 = 12;
+    const PER_WORD: usize = 5;
+
+    /// Tabulates the inverse of the normal distribution by summing its density.
+    pub fn new() -> Self {
+        let count = 1usize << Self::BITS;
+        let steps = 200_000;
+        let (low, high) = (-6.0f64, 6.0f64);
+        let width = (high - low) / f64::from(steps);
+        let mut values = Vec::with_capacity(count);
+        let mut area = 0.0;
+        for i in 0..steps {
+            let x = low + (f64::from(i) + 0.5) * width;
+            area += (-0.5 * x * x).exp() * width / std::f64::consts::TAU.sqrt();
+            while values.len() < count && area * count as f64 >= values.len() as f64 + 0.5 {
+                values.push(x as f32);
+            }
+        }
+        values.resize(count, high as f32);
+        Self(values)
+    }
+
+    fn value(&self, bits: u64) -> f32 {
+        self.0[(bits & ((1 << Self::BITS) - 1)) as usize]
+    }
+
+    /// A deviate.
+    pub fn sample(&self, rng: &mut Pcg64) -> f32 {
+        self.value(rng.next_u64())
+    }
+
+    /// Fills a slice with deviates.
+    pub fn fill(&self, rng: &mut Pcg64, out: &mut [f32]) {
+        for values in out.chunks_mut(Self::PER_WORD) {
+            let mut bits = rng.next_u64();
+            for value in values {
+                *value = self.value(bits);
+                bits >>= Self::BITS;
+            }
+        }
+    }
+}

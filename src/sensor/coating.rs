@@ -1,0 +1,261 @@
+//! The coating as the camera sees it at rest: light that falls unevenly, texture, wear, dust,
+//! scratches; and old dents in the gel.
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use super::camera::NormalTable;
+use super::{GEL_MM, PICTURE_PX};
+
+/// A soft round spot, in millimetres from the centre.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Spot {
+    center_mm: [f64; 2],
+    /// Standard deviation along its own axes.
+    radius_mm: [f64; 2],
+    yaw: f64,
+    strength: f64,
+}
+
+impl Spot {
+    /// Calls `f` with index, value, and offsets in millimetres for the pixels within three radii.
+    fn each(&self, mut f: impl FnMut(usize, f64, [f64; 2])) {
+        let n = PICTURE_PX as f64;
+        let reach = 3.0 * self.radius_mm[0].max(self.radius_mm[1]);
+        let range = |center: f64| {
+            let low = ((center - reach) / GEL_MM + 0.5) * n;
+            let high = ((center + reach) / GEL_MM + 0.5) * n;
+            (low.clamp(0.0, n) as usize)..(high.clamp(0.0, n).ceil() as usize)
+        };
+        let (sin, cos) = self.yaw.sin_cos();
+        for y in range(self.center_mm[1]) {
+            for x in range(self.center_mm[0]) {
+                let dx = ((x as f64 + 0.5) / n - 0.5) * GEL_MM - self.center_mm[0];
+                let dy = ((y as f64 + 0.5) / n - 0.5) * GEL_MM - self.center_mm[1];
+                let u = (cos * dx + sin * dy) / self.radius_mm[0];
+                let v = (-sin * dx + cos * dy) / self.radius_mm[1];
+                let r2 = u * u + v * v;
+                if r2 < 9.0 {
+                    f(y * PICTURE_PX + x, (-0.5 * r2).exp(), [u, v]);
+                }
+            }
+        }
+    }
+}
+
+/// A scratch: a curve from end to end, in millimetres.
+#[derive(Debug, Clone, PartialEq)]
+struct Scratch {
+    points: Vec<[f64; 2]>,
+    width_mm: f64,
+    strength: f64,
+}
+
+/// The coating of one sensor at one age.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Coating {
+    /// Level of the flat gel at its centre, for each channel.
+    levels: [f64; 3],
+    /// For each channel the lights' bright sides: where, how wide (of half the picture), how much.
+    glows: [[[f64; 4]; 2]; 3],
+    grain: f64,
+    mottle: f64,
+    streaks: f64,
+    streak_yaw: f64,
+    worn: Vec<Spot>,
+    dust: Vec<Spot>,
+    scratches: Vec<Scratch>,
+    dents: Vec<Spot>,
+    texture_seed: u64,
+}
+
+impl Coating {
+    /// Draws a coating.
+    pub fn sample(rng: &mut Pcg64) -> Self {
+        let grey = rng.random_range(75.0..185.0);
+        let tint = if rng.random_bool(0.5) { 0.05 } else { 0.25 };
+        let levels = [(); 3].map(|()| grey * (1.0 + tint * rng.random_range(-1.0..1.0)));
+        let unevenness = rng.random_range(0.05..0.5);
+        let side: f64 = rng.random_range(0.0..std::f64::consts::TAU);
+        let spread = if tint > 0.1 { 3.0 } else { 0.4 };
+        let glows = [(); 3].map(|()| {
+            [(); 2].map(|()| {
+                let angle = side + spread * rng.random_range(-1.0..1.0);
+                let radius: f64 = rng.random_range(0.3..1.2);
+                [
+                    radius * angle.cos(),
+                    radius * angle.sin(),
+                    rng.random_range(0.5..1.2),
+                    unevenness * rng.random_range(0.3..1.0),
+                ]
+            })
+        });
+        let aged = rng.random_bool(0.5);
+        let spot = |rng: &mut Pcg64, low: f64, high: f64, strength: f64| Spot {
+            center_mm: [rng.random_range(-20.0..20.0), rng.random_range(-20.0..20.0)],
+            radius_mm: [rng.random_range(low..high), rng.random_range(low..high)],
+            yaw: rng.random_range(0.0..std::f64::consts::PI),
+            strength: strength * rng.random_range(-1.0..1.0),
+        };
+        let count = |rng: &mut Pcg64, most: usize| rng.random_range(0..=most);
+        let worn =
+            (0..count(rng, if aged { 6 } else { 0 })).map(|_| spot(rng, 1.0, 5.0, 0.1)).collect();
+        let dents =
+            (0..count(rng, if aged { 8 } else { 1 })).map(|_| spot(rng, 0.4, 2.5, 0.03)).collect();
+        let most = if rng.random_bool(0.3) { 60 } else { 15 };
+        let dust = (0..count(rng, most))
+            .map(|_| {
+                let mut speck = spot(rng, 0.02, 0.1, 1.0);
+                speck.strength = if rng.random_bool(0.8) {
+                    -rng.random_range(0.05..0.45)
+                } else {
+                    rng.random_range(0.05..0.3)
+                };
+                speck
+            })
+            .collect();
+        let scratches = (0..count(rng, if aged { 5 } else { 2 }))
+            .map(|_| {
+                let mut at = [rng.random_range(-20.0..20.0), rng.random_range(-20.0..20.0)];
+                let mut heading: f64 = rng.random_range(0.0..std::f64::consts::TAU);
+                let bend = rng.random_range(-0.04..0.04);
+                let points = (0..rng.random_range(8..60))
+                    .map(|_| {
+                        heading += bend;
+                        at = [at[0] + 0.4 * heading.cos(), at[1] + 0.4 * heading.sin()];
+                        at
+                    })
+                    .collect();
+                Scratch {
+                    points,
+                    width_mm: rng.random_range(0.02..0.06),
+                    strength: rng.random_range(-0.18..0.15),
+                }
+            })
+            .collect();
+        Self {
+            levels,
+            glows,
+            grain: rng.random_range(0.002..0.012),
+            mottle: rng.random_range(0.003..0.02),
+            streaks: rng.random_range(0.0..0.012),
+            streak_yaw: rng.random_range(0.0..std::f64::consts::PI),
+            worn,
+            dust,
+            scratches,
+            dents,
+            texture_seed: rng.random_range(0..u64::MAX),
+        }
+    }
+
+    /// Level of the flat gel without its texture; x and y run from −1 to 1 over the picture.
+    pub fn flat(&self, channel: usize, x: f32, y: f32) -> f32 {
+        let mut light = 1.0;
+        for [cx, cy, width, strength] in self.glows[channel] {
+            let (dx, dy) = (x - cx as f32, y - cy as f32);
+            let w = width as f32;
+            light += strength as f32 * ((-0.5 * (dx * dx + dy * dy) / (w * w)).exp() - 0.4);
+        }
+        self.levels[channel] as f32 * light
+    }
+
+    /// Writes the texture's factor for each pixel, and adds the old dents' gradients to
+    /// `gradients`.
+    pub fn texture(
+        &self,
+        normal: &NormalTable,
+        texture: &mut Vec<f32>,
+        gradients: &mut [[f32; 2]],
+    ) {
+        let n = PICTURE_PX;
+        let mut rng = Pcg64::seed_from_u64(self.texture_seed);
+        texture.clear();
+        texture.resize(n * n, 0.0);
+        normal.fill(&mut rng, texture);
+        let grain = self.grain as f32;
+        texture.iter_mut().for_each(|t| *t *= grain);
+        // Clouds of several sizes, smooth between the nodes of coarse grids.
+        for (nodes, weight) in [(10usize, 1.0f32), (34, 0.7), (112, 0.5)] {
+            let amplitude = weight * self.mottle as f32;
+            add_noise(texture, normal, &mut rng, nodes, nodes, 0.0, amplitude);
+        }
+        let amplitude = self.streaks as f32;
+        add_noise(texture, normal, &mut rng, 24, 400, self.streak_yaw, amplitude);
+        for spot in self.worn.iter().chain(&self.dust) {
+            spot.each(|i, value, _| texture[i] += (spot.strength * value) as f32);
+        }
+        for scratch in &self.scratches {
+            draw_scratch(texture, scratch);
+        }
+        texture.iter_mut().for_each(|t| *t = (1.0 + *t).max(0.05));
+        for dent in &self.dents {
+            let (sin, cos) = dent.yaw.sin_cos();
+            dent.each(|i, value, [u, v]| {
+                let du = -dent.strength * value * u / dent.radius_mm[0];
+                let dv = -dent.strength * value * v / dent.radius_mm[1];
+                gradients[i][0] += (cos * du - sin * dv) as f32;
+                gradients[i][1] += (sin * du + cos * dv) as f32;
+            });
+        }
+    }
+}
+
+/// Adds noise from a turned grid of `columns` × `rows` nodes over the picture's diagonal.
+fn add_noise(
+    texture: &mut [f32],
+    normal: &NormalTable,
+    rng: &mut Pcg64,
+    columns: usize,
+    rows: usize,
+    yaw: f64,
+    amplitude: f32,
+) {
+    let n = PICTURE_PX;
+    let mut nodes = vec![0.0f32; (columns + 2) * (rows + 2)];
+    normal.fill(rng, &mut nodes);
+    let (sin, cos) = (yaw.sin() as f32, yaw.cos() as f32);
+    // The diagonal fits into the nodes at any angle.
+    let scale = 1.0 / (n as f32 * std::f32::consts::SQRT_2);
+    for y in 0..n {
+        let dy = (y as f32 + 0.5) - n as f32 / 2.0;
+        for x in 0..n {
+            let dx = (x as f32 + 0.5) - n as f32 / 2.0;
+            let u = ((cos * dx + sin * dy) * scale + 0.5) * columns as f32;
+            let v = ((cos * dy - sin * dx) * scale + 0.5) * rows as f32;
+            let (column, row) = (u as usize, v as usize);
+            let (fu, fv) = (u - column as f32, v - row as f32);
+            let (fu, fv) = (fu * fu * (3.0 - 2.0 * fu), fv * fv * (3.0 - 2.0 * fv));
+            let i = row * (columns + 2) + column;
+            let top = nodes[i] + fu * (nodes[i + 1] - nodes[i]);
+            let j = i + columns + 2;
+            let bottom = nodes[j] + fu * (nodes[j + 1] - nodes[j]);
+            texture[y * n + x] += amplitude * (top + fv * (bottom - top));
+        }
+    }
+}
+
+fn draw_scratch(texture: &mut [f32], scratch: &Scratch) {
+    let n = PICTURE_PX as f64;
+    let px = |mm: f64| (mm / GEL_MM + 0.5) * n;
+    let width = scratch.width_mm / GEL_MM * n;
+    let reach = (2.5 * width).ceil();
+    for pair in scratch.points.windows(2) {
+        let [a, b] = [pair[0].map(px), pair[1].map(px)];
+        let steps = (b[0] - a[0]).hypot(b[1] - a[1]).ceil().max(1.0);
+        for step in 0..steps as usize {
+            let t = step as f64 / steps;
+            let at = [a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])];
+            let range =
+                |c: f64| ((c - reach).clamp(0.0, n) as usize)..((c + reach).clamp(0.0, n) as usize);
+            for y in range(at[1]) {
+                for x in range(at[0]) {
+                    let (dx, dy) = (x as f64 + 0.5 - at[0], y as f64 + 0.5 - at[1]);
+                    let value = (-0.5 * (dx * dx + dy * dy) / (width * width)).exp();
+                    // Steps of a pixel along the line add up to about 2.5 widths.
+                    let value = scratch.strength * value / (2.5 * width);
+                    texture[y * PICTURE_PX + x] += value as f32;
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,236 @@
+//! What is pressed into the gel: drawn from a seed, laid out without overlaps.
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use super::GEL_MM;
+use super::contact::NO_BODY;
+use super::distractors::Distractor;
+use super::gel::Grid;
+use super::snaps::{Kind, Snap};
+
+/// Least free space between two parts, in millimetres.
+const CLEARANCE_MM: f64 = 0.8;
+
+/// Heights further than this below the gel's surface are left out of the rigid body.
+const BODY_DEPTH_MM: f64 = 3.0;
+
+/// A part somewhere on the gel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Placed<T> {
+    /// The part.
+    pub part: T,
+    /// Its origin in millimetres from the gel's centre, x to the right, y down.
+    pub center_mm: [f64; 2],
+    /// Rotation from the gel's x towards its y, in radians.
+    pub yaw: f64,
+    /// Slope of the part's top plane along its own x and y.
+    pub tilt: [f64; 2],
+    /// Depth of its highest point below the undeformed surface if it were not tilted, in
+    /// millimetres.
+    pub depth_mm: f64,
+}
+
+impl<T> Placed<T> {
+    /// Coordinates of a point on the gel in the part's own frame.
+    pub fn local(&self, x: f64, y: f64) -> [f64; 2] {
+        let (sin, cos) = self.yaw.sin_cos();
+        let [dx, dy] = [x - self.center_mm[0], y - self.center_mm[1]];
+        [cos * dx + sin * dy, -sin * dx + cos * dy]
+    }
+
+    fn penetration(&self, x: f64, y: f64, height: impl Fn(&T, f64, f64) -> f64) -> f64 {
+        let [u, v] = self.local(x, y);
+        self.depth_mm + height(&self.part, u, v) + self.tilt[0] * u + self.tilt[1] * v
+    }
+}
+
+/// Which snaps a scene may hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mix {
+    /// Hooks only, at least one.
+    A,
+    /// Studs only, at least one.
+    B,
+    /// Both kinds, or none.
+    Mixed,
+}
+
+/// Everything that touches the gel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scene {
+    /// The snaps.
+    pub snaps: Vec<Placed<Snap>>,
+    /// Whatever else.
+    pub distractors: Vec<Placed<Distractor>>,
+}
+
+/// A rigid body on a grid.
+#[derive(Debug, Clone)]
+pub struct Body {
+    /// Penetration in millimetres, [`NO_BODY`] where nothing is near or the gel has ended.
+    pub penetration: Vec<f32>,
+    /// Index of the part that reaches deepest, snaps before distractors.
+    pub owner: Vec<u8>,
+}
+
+impl Scene {
+    /// Draws a scene.
+    pub fn sample(seed: u64, mix: Mix) -> Self {
+        let rng = &mut Pcg64::seed_from_u64(seed);
+        let mut scene = Self { snaps: Vec::new(), distractors: Vec::new() };
+        let count = match rng.random_range(0..100) {
+            0..8 if mix == Mix::Mixed => 0,
+            0..60 => 1,
+            60..84 => 2,
+            84..95 => 3,
+            _ => 4,
+        };
+        for _ in 0..count {
+            let kind = match mix {
+                Mix::A => Kind::A,
+                Mix::B => Kind::B,
+                Mix::Mixed if rng.random_bool(0.5) => Kind::A,
+                Mix::Mixed => Kind::B,
+            };
+            scene.add_snap(rng, kind);
+        }
+        let count = if rng.random_bool(0.5) { rng.random_range(1..=3) } else { 0 };
+        for _ in 0..count {
+            scene.add_distractor(rng);
+        }
+        scene
+    }
+
+    fn add_snap(&mut self, rng: &mut Pcg64, kind: Kind) {
+        let part = Snap::sample(rng, kind);
+        let reach = part.reach();
+        let depth_mm = part.sample_depth(rng);
+        let (tilt, yaw) = (sample_tilt(rng, 2.5), sample_yaw(rng));
+        // Most lie on the gel as a whole, some reach over its edge.
+        let limit = if rng.random_bool(0.85) { GEL_MM / 2.0 - reach } else { GEL_MM / 2.0 - 0.5 };
+        for _ in 0..30 {
+            let center_mm = [rng.random_range(-limit..limit), rng.random_range(-limit..limit)];
+            let clear = self.snaps.iter().all(|other| {
+                let d =
+                    (other.center_mm[0] - center_mm[0]).hypot(other.center_mm[1] - center_mm[1]);
+                d > reach + other.part.reach() + CLEARANCE_MM
+            });
+            if clear {
+                self.snaps.push(Placed { part, center_mm, yaw, tilt, depth_mm });
+                return;
+            }
+        }
+    }
+
+    fn add_distractor(&mut self, rng: &mut Pcg64) {
+        let part = Distractor::sample(rng);
+        let half = part.half_size();
+        for _ in 0..30 {
+            let center_mm = match half {
+                Some(_) => [rng.random_range(-20.0..20.0), rng.random_range(-20.0..20.0)],
+                // A plate stays in the outer part, or it would fill the picture.
+                None => {
+                    let radius = rng.random_range(11.0..21.0);
+                    let angle = rng.random_range(0.0..std::f64::consts::TAU);
+                    [radius * f64::cos(angle), radius * f64::sin(angle)]
+                }
+            };
+            let yaw = match half {
+                Some(_) => sample_yaw(rng),
+                None => f64::atan2(-center_mm[1], -center_mm[0]) + rng.random_range(-0.5..0.5),
+            };
+            let placed = Placed {
+                part: part.clone(),
+                center_mm,
+                yaw,
+                tilt: sample_tilt(rng, if half.is_some() { 2.0 } else { 0.8 }),
+                depth_mm: rng.random_range(0.08..1.0),
+            };
+            let clear = |center: [f64; 2], reach: f64| {
+                let [u, v] = placed.local(center[0], center[1]);
+                match half {
+                    Some([a, b]) => {
+                        (u.abs() - a).max(0.0).hypot((v.abs() - b).max(0.0)) > reach + CLEARANCE_MM
+                    }
+                    None => u > reach + CLEARANCE_MM,
+                }
+            };
+            let reach_of = |d: &Placed<Distractor>| match d.part.half_size() {
+                Some([a, b]) => a.hypot(b),
+                None => 0.0,
+            };
+            if self.snaps.iter().all(|s| clear(s.center_mm, s.part.reach()))
+                && self
+                    .distractors
+                    .iter()
+                    .all(|d| d.part.half_size().is_some() && clear(d.center_mm, reach_of(d)))
+            {
+                self.distractors.push(placed);
+                return;
+            }
+        }
+    }
+
+    /// The scene as one rigid body: at each cell the part that reaches deepest.
+    pub fn body(&self, grid: Grid) -> Body {
+        let mut body =
+            Body { penetration: vec![NO_BODY; grid.len()], owner: vec![u8::MAX; grid.len()] };
+        for (i, snap) in self.snaps.iter().enumerate() {
+            let reach = snap.part.reach();
+            body.add(grid, snap, i as u8, Some(reach), Snap::height);
+        }
+        for (i, part) in self.distractors.iter().enumerate() {
+            let reach = part.part.half_size().map(|[a, b]| a.hypot(b));
+            let owner = (self.snaps.len() + i) as u8;
+            body.add(grid, part, owner, reach, Distractor::height);
+        }
+        body
+    }
+}
+
+impl Body {
+    fn add<T>(
+        &mut self,
+        grid: Grid,
+        placed: &Placed<T>,
+        owner: u8,
+        reach: Option<f64>,
+        height: impl Fn(&T, f64, f64) -> f64,
+    ) {
+        let n = grid.cells;
+        let edge = GEL_MM / 2.0;
+        let range = |center: f64| {
+            let (low, high) = match reach {
+                Some(r) => ((center - r - 1.0).max(-edge), (center + r + 1.0).min(edge)),
+                None => (-edge, edge),
+            };
+            let low = grid.index(low).ceil().max(0.0) as usize;
+            let high = (grid.index(high).floor().max(-1.0) + 1.0) as usize;
+            low..high.min(n)
+        };
+        for row in range(placed.center_mm[1]) {
+            for column in range(placed.center_mm[0]) {
+                let (x, y) = (grid.position(column), grid.position(row));
+                let d = placed.penetration(x, y, &height) as f32;
+                let i = row * n + column;
+                if f64::from(d) > -BODY_DEPTH_MM && d > self.penetration[i] {
+                    self.penetration[i] = d;
+                    self.owner[i] = owner;
+                }
+            }
+        }
+    }
+}
+
+fn sample_yaw(rng: &mut Pcg64) -> f64 {
+    rng.random_range(-std::f64::consts::PI..std::f64::consts::PI)
+}
+
+/// Slopes along x and y of a plane tilted by at most `degrees`, mostly less.
+fn sample_tilt(rng: &mut Pcg64, degrees: f64) -> [f64; 2] {
+    let slope = (degrees * rng.random_range(0.0..1.0)).to_radians().tan();
+    let angle = rng.random_range(0.0..std::f64::consts::TAU);
+    [slope * f64::cos(angle), slope * f64::sin(angle)]
+}

@@ -1,0 +1,76 @@
+use crate::support::{check_op, refusal};
+use smr_gpu::cpu::Crop;
+use smr_gpu::ops::CropResize;
+use smr_gpu::ops::{Op, Params, find};
+use smr_gpu::shape::TensorSpec;
+use smr_gpu::tensor::Tensor;
+
+#[test]
+fn shader_matches_reference_and_hand() {
+    check_op("crop_resize");
+}
+
+const OP: CropResize = CropResize { size: 32, mean: [0.5; 3], std: [0.2; 3] };
+
+#[test]
+fn refuses_what_does_not_fit() {
+    let specs = [TensorSpec::u32([100]), TensorSpec::u32([5])];
+    let message = refusal(&CropResize { size: 0, ..OP }, &specs);
+    assert!(message.contains("`size`: expected 1 to 16384, got 0"), "{message}");
+    let message = refusal(&CropResize { mean: [0.5, f32::NAN, 0.5], ..OP }, &specs);
+    assert!(message.contains("`mean`: expected finite"), "{message}");
+    let message = refusal(&CropResize { std: [0.2, 0.0, 0.2], ..OP }, &specs);
+    assert!(message.contains("`std`: expected positive"), "{message}");
+    let message = refusal(&OP, &[TensorSpec::f32([100]), TensorSpec::u32([5])]);
+    assert!(message.contains("`picture`: expected u32 of rank 1"), "{message}");
+    let message = refusal(&OP, &[TensorSpec::u32([100]), TensorSpec::u32([4])]);
+    assert!(message.contains("`crop`: expected u32[5], got u32[4]"), "{message}");
+}
+
+#[test]
+fn refuses_crops_outside_the_picture() {
+    let good = Crop { width: 10, height: 8, x: 3, y: 1, side: 7 };
+    assert_eq!(good.to_tensor(80).expect("a crop").data(), [10, 8, 3, 1, 7]);
+    let bad = [
+        Crop { side: 0, ..good },
+        Crop { side: 8, ..good },
+        Crop { x: 4, ..good },
+        Crop { y: 2, ..good },
+        Crop { x: usize::MAX, ..good },
+    ];
+    for crop in bad {
+        let message = crop.to_tensor(80).expect_err("an error").to_string();
+        assert!(message.contains("`crop`") && message.contains("inside 10×8"), "{message}");
+    }
+    let message = good.to_tensor(79).expect_err("an error").to_string();
+    assert!(message.contains("10×8 picture: needs 80, but only 79"), "{message}");
+    // The reference holds the crop's words to the same.
+    let picture = Tensor::<u32>::zeros([80]).into();
+    let crop = Tensor::from_fn([5], |i| [10, 8, 4, 1, 7][i]).into();
+    let message = OP.reference(&[&picture, &crop]).expect_err("an error").to_string();
+    assert!(message.contains("side 7 at (4, 1)"), "{message}");
+}
+
+#[test]
+fn central_crop_is_the_largest_square() {
+    assert_eq!(
+        Crop::central(1920, 1200),
+        Crop { width: 1920, height: 1200, x: 360, y: 0, side: 1200 }
+    );
+    assert_eq!(Crop::central(1, 8192), Crop { width: 1, height: 8192, x: 0, y: 4095, side: 1 });
+}
+
+#[test]
+fn builds_from_text() {
+    let build = |mean: &str, std: &str| {
+        let named = [("size", "32"), ("mean", mean), ("std", std)];
+        let named = named.map(|(name, value)| (name.to_owned(), value.to_owned()));
+        let entry = find("crop_resize").expect("a registered operation");
+        (entry.build)(&mut Params::new("crop_resize", named), &["picture", "crop"])
+    };
+    let op = build("0.5, 0.25,0", "1,2,3").expect("an operation");
+    let text = format!("{op:?}");
+    assert_eq!(text, "CropResize { size: 32, mean: [0.5, 0.25, 0.0], std: [1.0, 2.0, 3.0] }");
+    let message = build("0.5,0.5", "1,1,1").expect_err("an error").to_string();
+    assert!(message.contains("`mean`: expected three numbers") && message.ends_with("got 2"));
+}

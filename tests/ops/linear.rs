@@ -1,0 +1,35 @@
+use crate::support::check_op;
+use smr_gpu::gpu::{Recording, Role};
+use smr_gpu::ops::{Linear, Op};
+use smr_gpu::shape::TensorSpec;
+
+#[test]
+fn shader_matches_reference_and_hand() {
+    check_op("linear");
+}
+
+#[test]
+fn refuses_what_does_not_fit() {
+    let op = Linear { relu: false, count: true };
+    let specs = |input: &[usize], bias: usize, count: usize| {
+        let input = smr_gpu::shape::Shape(input.to_vec());
+        let weight = TensorSpec::f32([2, 6]);
+        [TensorSpec::f32(input), weight, TensorSpec::f32([bias]), TensorSpec::u32([count])]
+    };
+    let text = |specs: [TensorSpec; 4]| op.infer(&specs).expect_err("an error").to_string();
+    let message = text(specs(&[4, 5], 2, 1));
+    assert!(message.contains("`input`") && message.contains("6 elements a row"), "{message}");
+    let message = text(specs(&[6], 2, 1));
+    assert!(message.contains("`input`"), "{message}");
+    let message = text(specs(&[4, 2, 3], 3, 1));
+    assert!(message.contains("`bias`") && message.contains("f32[2]"), "{message}");
+    let message = text(specs(&[4, 2, 3], 2, 3));
+    assert!(message.contains("`count`") && message.contains("u32[1]"), "{message}");
+
+    let mut recording = Recording::default();
+    let inputs = specs(&[4, 6], 2, 1).map(|s| recording.tensor("in", s, Role::Input));
+    let output = recording.scratch("out", TensorSpec::f32([4, 2]));
+    let message =
+        op.record(&mut recording, &inputs, &[output]).expect_err("no weights").to_string();
+    assert!(message.contains("known when recording") && message.contains("an input"), "{message}");
+}

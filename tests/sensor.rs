@@ -1,0 +1,618 @@
+//! The simulated sensor against closed forms, and against real presses.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use rand::SeedableRng;
+use rand_pcg::Pcg64;
+use smr_gpu::sensor::camera::{Camera, NormalTable};
+use smr_gpu::sensor::contact::{Contact, NO_BODY, Stop, solve};
+use smr_gpu::sensor::dataset::{Settings, scene_seed, simulate};
+use smr_gpu::sensor::gel::{Elasticity, Grid, Layer};
+use smr_gpu::sensor::label::imprints;
+use smr_gpu::sensor::optics::{Fit, Shading, measured_sensors, normal_terms, position_terms};
+use smr_gpu::sensor::render::{GRID, LEAST_IMPRINT_PX, Renderer, STOP, Surface};
+use smr_gpu::sensor::scene::{Body, Mix, Scene};
+use smr_gpu::sensor::snaps::{Kind, Snap};
+use smr_gpu::sensor::{Error, GEL_MM, MM_PER_PX, PICTURE_PX, calibrate};
+
+const EXACT: Stop = Stop { tolerance_mm: 1e-5, max_iterations: 400 };
+
+fn data(folder: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(folder)
+}
+
+/// A body from a function of position in millimetres.
+fn body(grid: Grid, penetration: impl Fn(f64, f64) -> Option<f64>) -> Vec<f32> {
+    let mut out = Vec::with_capacity(grid.len());
+    for y in 0..grid.cells {
+        for x in 0..grid.cells {
+            let d = penetration(grid.position(x), grid.position(y));
+            out.push(d.map_or(NO_BODY, |d| d as f32));
+        }
+    }
+    out
+}
+
+/// A box-shaped punch whose walls slope steeply.
+fn punch(half: [f64; 2], center: [f64; 2], depth: f64) -> impl Fn(f64, f64) -> Option<f64> {
+    move |x, y| {
+        let inside = (half[0] - (x - center[0]).abs()).min(half[1] - (y - center[1]).abs());
+        (inside > -0.3).then_some(depth + 8.0 * inside.min(0.0))
+    }
+}
+
+fn assert_close(value: f64, expected: f64, relative: f64, what: &str) {
+    let error = (value - expected).abs();
+    assert!(error <= relative * expected.abs(), "{what}: {value}, expected {expected}");
+}
+
+#[test]
+fn compliance_has_its_limits() {
+    let layer = Layer { thickness_mm: 4.0, shear_modulus_mpa: 0.145 };
+    let (h, mu) = (layer.thickness_mm, layer.shear_modulus_mpa);
+    // Half-space: the next term is of the order of 4x² exp(−2x), 4e-6 at x = 10.
+    for x in [10.0, 30.0, 1e3] {
+        let k = x / h;
+        assert_close(layer.compliance(k), 1.0 / (2.0 * mu * k), 1e-5, "half-space");
+    }
+    // Thin layer: the next term is 9/5 x² of it.
+    for x in [1e-4, 1e-2, 0.03] {
+        let k = x / h;
+        assert_close(layer.compliance(k), k * k * h.powi(3) / (3.0 * mu), 2.0 * x * x, "thin");
+    }
+    // By hand at x = 1: (sinh 2 − 2)/(cosh 2 + 3) = 1.626860408 / 6.762195691.
+    let by_hand = 1.626_860_408 / 6.762_195_691 * h / (2.0 * mu);
+    assert_close(layer.compliance(1.0 / h), by_hand, 1e-9, "x = 1");
+    assert_eq!(layer.compliance(0.0), 0.0);
+    // The series takes over at x = 0.02; what it leaves out is of the order of x⁴.
+    let (below, above) = (layer.compliance(0.019_999_999 / h), layer.compliance(0.02 / h));
+    assert_close(below, above, 1e-6, "series");
+}
+
+#[test]
+fn a_wave_of_pressure_makes_a_wave_of_displacement() {
+    let grid = Grid { cells: 48, spacing_mm: 0.25 };
+    let layer = Layer::default();
+    let mut elasticity = Elasticity::new(&layer, grid);
+    let all = vec![true; grid.cells];
+    for (mx, my) in [(1, 0), (0, 3), (5, 2), (24, 0), (7, 24)] {
+        let step = std::f64::consts::TAU / (grid.cells as f64 * grid.spacing_mm);
+        let (kx, ky) = (step * f64::from(mx), step * f64::from(my));
+        let wave = |i: usize| {
+            let (x, y) = (i % grid.cells, i / grid.cells);
+            (kx * x as f64 * grid.spacing_mm + ky * y as f64 * grid.spacing_mm).cos()
+        };
+        let pressure: Vec<f32> = (0..grid.len()).map(|i| wave(i) as f32).collect();
+        let mut displacement = vec![f32::NAN; grid.len()];
+        elasticity.displacement(&pressure, &all, &all, &mut displacement);
+        let amplitude = layer.compliance(kx.hypot(ky));
+        for (i, &u) in displacement.iter().enumerate() {
+            // Single precision through two transforms of 48.
+            let error = (f64::from(u) - amplitude * wave(i)).abs();
+            assert!(error < 3e-6 * amplitude.max(1.0), "wave {mx}, {my} at {i}: off by {error}");
+        }
+    }
+}
+
+#[test]
+fn unwanted_rows_are_left_alone() {
+    let grid = Grid { cells: 16, spacing_mm: 0.5 };
+    let mut elasticity = Elasticity::new(&Layer::default(), grid);
+    let mut pressure = vec![0.0; grid.len()];
+    pressure[5 * 16 + 3] = 1.0;
+    let (all, mut row5) = (vec![true; 16], vec![false; 16]);
+    row5[5] = true;
+    let mut whole = vec![f32::NAN; grid.len()];
+    let mut part = vec![f32::NAN; grid.len()];
+    elasticity.displacement(&pressure, &all, &all, &mut whole);
+    elasticity.displacement(&pressure, &row5, &row5, &mut part);
+    for (i, (&whole, &part)) in whole.iter().zip(&part).enumerate() {
+        assert!(whole.is_finite());
+        if i / 16 == 5 {
+            assert_eq!(whole, part);
+        } else {
+            assert!(part.is_nan());
+        }
+    }
+}
+
+/// A ball of 2 mm on a thick layer, pressed to a contact radius of about 0.4 mm.
+fn hertz() -> (Grid, Contact) {
+    let grid = Grid { cells: 512, spacing_mm: 0.02 };
+    let layer = Layer { thickness_mm: 40.0, ..Layer::default() };
+    let mut elasticity = Elasticity::new(&layer, grid);
+    // Hertz's parabola; the mean displacement is zero, which raises the surface by little.
+    let ball = body(grid, |x, y| {
+        let r2 = x * x + y * y;
+        (r2 < 1.0).then_some(0.4 * 0.4 / 2.0 - r2 / 4.0)
+    });
+    (grid, solve(&mut elasticity, &ball, &[], EXACT))
+}
+
+#[test]
+fn a_ball_takes_hertz_force() {
+    let (grid, contact) = hertz();
+    let mu = Layer::default().shear_modulus_mpa;
+    let cells = contact.pressure.iter().filter(|p| **p > 0.0).count() as f64;
+    let radius = (cells / std::f64::consts::PI).sqrt() * grid.spacing_mm;
+    assert_close(radius, 0.4, 0.06, "contact radius");
+    // E* = 4μ for an incompressible half-space, so F = 4/3 E* a³/R = 16 μ a³ / (3 R).
+    let force = 16.0 * mu * radius.powi(3) / (3.0 * 2.0);
+    assert_close(contact.force_n(grid.spacing_mm), force, 0.03, "force");
+    // The greatest pressure is 3/2 of the mean.
+    let peak = contact.pressure.iter().fold(0.0f32, |a, &b| a.max(b));
+    let mean = force / (std::f64::consts::PI * radius * radius);
+    assert_close(f64::from(peak), 1.5 * mean, 0.03, "peak pressure");
+}
+
+#[test]
+fn pressure_and_gap_are_complementary_and_volume_is_conserved() {
+    let mut elasticity = Elasticity::new(&Layer::default(), GRID);
+    let blocks = [punch([3.0, 1.5], [-8.0, 2.0], 0.8), punch([1.0, 4.0], [9.0, -6.0], 0.4)];
+    let rigid = body(GRID, |x, y| blocks.iter().filter_map(|b| b(x, y)).reduce(f64::max));
+    let contact = solve(&mut elasticity, &rigid, &[], STOP);
+    assert!(contact.iterations < STOP.max_iterations, "{} iterations", contact.iterations);
+    let mut touching = 0;
+    let mut squares = 0.0;
+    for (i, &pressure) in contact.pressure.iter().enumerate() {
+        let gap = f64::from(contact.displacement[i] - rigid[i]);
+        assert!(pressure >= 0.0);
+        if pressure > 0.0 {
+            touching += 1;
+            squares += gap * gap;
+        } else {
+            assert!(gap > -10.0 * STOP.tolerance_mm, "overlap of {gap} mm without pressure");
+        }
+    }
+    let rms = (squares / f64::from(touching)).sqrt();
+    assert!(rms <= 1.01 * STOP.tolerance_mm, "gap of {rms} mm under pressure");
+    // Both faces touch all over: 6×3 + 2×8 mm².
+    let area = f64::from(touching) * GRID.spacing_mm.powi(2);
+    assert_close(area, 34.0, 0.05, "area in contact");
+
+    let volume: f64 = contact.displacement.iter().map(|&u| f64::from(u)).sum();
+    let moved: f64 = contact.displacement.iter().map(|&u| f64::from(u.abs())).sum();
+    assert!(volume.abs() < 1e-5 * moved, "{volume} of {moved} is lost");
+    // What goes down in the middle comes up beside it.
+    let lowest = contact.displacement.iter().fold(0.0f32, |a, &b| a.min(b));
+    assert!(lowest < -0.01, "no bulge: {lowest}");
+}
+
+#[test]
+fn the_grid_s_images_are_far() {
+    // A deep punch at the gel's edge, on the grid in use and on one of twice the size.
+    let wide = Grid { cells: 2 * GRID.cells, ..GRID };
+    let shape = punch([2.0, 3.0], [17.5, 0.0], 1.0);
+    let surface = |grid: Grid| {
+        let mut elasticity = Elasticity::new(&Layer::default(), grid);
+        let contact = solve(&mut elasticity, &body(grid, &shape), &[], EXACT);
+        Surface::new(grid, contact.displacement)
+    };
+    let (near, far) = (surface(GRID), surface(wide));
+    let mut worst = [0.0f32; 2];
+    for i in -49..50 {
+        for j in -49..50 {
+            let (x, y) = (0.4 * f64::from(i), 0.4 * f64::from(j));
+            let (a, b) = (near.at(x, y), far.at(x, y));
+            worst[0] = worst[0].max((a.depth - b.depth).abs());
+            let [gx, gy] = [a.gradient[0] - b.gradient[0], a.gradient[1] - b.gradient[1]];
+            worst[1] = worst[1].max(gx.hypot(gy));
+        }
+    }
+    // The slope is what the camera sees: 0.005 changes the brightness by about 0.5 %, a tenth of
+    // what an edge does. This punch is as deep and as near the rim as snaps come.
+    assert!(worst[0] < 0.02 && worst[1] < 5e-3, "depth and slope differ by {worst:?}");
+}
+
+#[test]
+fn a_dent_moves_outwards_by_parallax() {
+    let camera = Camera::default();
+    // 20 mm × (125/124 − 1) / 0.04 mm = 4.03 px.
+    let flat = camera.project(20.0, -20.0, 0.0);
+    let dent = camera.project(20.0, -20.0, 1.0);
+    assert_eq!(flat, [1000.0, 0.0]);
+    assert_close(dent[0] - flat[0], 4.032, 1e-3, "x");
+    assert_close(dent[1] - flat[1], -4.032, 1e-3, "y");
+
+    // The renderer looks the other way: a dent 1 mm deep about x = 15 is seen 15/124 mm further
+    // out.
+    let grid = Grid { cells: 512, spacing_mm: 0.08 };
+    let displacement = (0..grid.len())
+        .map(|i| {
+            let (x, y) = (grid.position(i % 512), grid.position(i / 512));
+            (-((x - 15.0).powi(2) + y * y) / 8.0).exp() as f32
+        })
+        .collect();
+    let surface = Surface::new(grid, displacement);
+    let deepest = (0..2000)
+        .map(|i| 14.0 + f64::from(i) * 1e-3)
+        .max_by(|&a, &b| {
+            let depth = |x| surface.seen(&camera, x, 0.0).depth;
+            depth(a).total_cmp(&depth(b))
+        })
+        .expect("there are places");
+    assert!((deepest - 15.0 * 125.0 / 124.0).abs() < 0.05, "seen at {deepest}");
+}
+
+#[test]
+fn noise_is_45_db_at_saturation() {
+    let camera = Camera::default();
+    assert_close(20.0 * (255.0 / camera.noise(255.0)).log10(), 45.0, 1e-9, "at saturation");
+    assert_close(camera.noise(0.0), camera.read_noise, 1e-9, "in the dark");
+
+    let table = NormalTable::new();
+    let mut rng = Pcg64::seed_from_u64(7);
+    let count = 300_000;
+    for level in [40.0f32, 128.0, 230.0] {
+        let plane = vec![level; count];
+        let mut bytes = vec![0u8; 3 * count];
+        camera.digitise(&plane, &table, &mut rng, &mut bytes, 1, 3);
+        let values: Vec<f64> = bytes.iter().skip(1).step_by(3).map(|&b| f64::from(b)).collect();
+        let mean = values.iter().sum::<f64>() / count as f64;
+        let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / count as f64;
+        // Five standard errors of the mean; rounding to 8 bits adds 1/12 to the variance.
+        assert!((mean - f64::from(level)).abs() < 0.015, "mean {mean} of {level}");
+        let expected = camera.noise(f64::from(level)).powi(2) + 1.0 / 12.0;
+        assert_close(variance, expected, 0.03, "variance");
+        assert!(bytes.iter().step_by(3).all(|&b| b == 0), "another channel was written");
+    }
+}
+
+#[test]
+fn blur_keeps_light_and_has_its_width() {
+    const N: usize = PICTURE_PX;
+    let camera = Camera { blur_px: 1.7, ..Camera::default() };
+    let mut plane = vec![0.0f32; N * N];
+    plane[400 * N + 300] = 1.0;
+    camera.blur(&mut plane, &mut Vec::new());
+    let total: f64 = plane.iter().map(|&v| f64::from(v)).sum();
+    assert_close(total, 1.0, 1e-5, "light");
+    let second = |along: fn(usize) -> f64| -> f64 {
+        plane.iter().enumerate().map(|(i, &v)| f64::from(v) * along(i).powi(2)).sum()
+    };
+    // Cut at 2.5 standard deviations, the kernel loses less than a tenth of its variance.
+    assert_close(second(|i| (i % N) as f64 - 300.0), 1.7 * 1.7, 0.1, "variance along x");
+    assert_close(second(|i| (i / N) as f64 - 400.0), 1.7 * 1.7, 0.1, "variance along y");
+}
+
+#[test]
+fn the_label_of_a_flat_punch_is_its_projected_outline() {
+    let (half, center, depth) = ([2.5, 1.5], [10.0, -6.0], 0.5);
+    let penetration = body(GRID, punch(half, center, depth));
+    let owner = penetration.iter().map(|d| if *d > NO_BODY { 0 } else { u8::MAX }).collect();
+    let mut elasticity = Elasticity::new(&Layer::default(), GRID);
+    let contact = solve(&mut elasticity, &penetration, &[], STOP);
+    let camera = Camera::default();
+    let found = imprints(&Body { penetration, owner }, &contact, GRID, &camera, 1);
+    let imprint = found[0].expect("it touches");
+    let scale = 125.0 / (125.0 - depth) / MM_PER_PX;
+    let expected = [
+        (center[0] - half[0]) * scale + 500.0,
+        (center[1] - half[1]) * scale + 500.0,
+        (center[0] + half[0]) * scale + 500.0,
+        (center[1] + half[1]) * scale + 500.0,
+    ];
+    for (found, expected) in imprint.pixel_box.into_iter().zip(expected) {
+        // A cell is two pixels wide; at a wall the gel may touch one cell further.
+        assert!((found - expected).abs() <= 2.5, "{:?}, expected {expected:?}", imprint.pixel_box);
+    }
+    let area = (expected[2] - expected[0]) * (expected[3] - expected[1]);
+    assert_close(imprint.area_px, area, 0.06, "area");
+}
+
+#[test]
+fn labels_end_at_the_picture() {
+    let penetration = body(GRID, punch([3.0, 1.0], [19.0, 0.0], 0.6));
+    let owner = vec![0; GRID.len()];
+    let mut elasticity = Elasticity::new(&Layer::default(), GRID);
+    let contact = solve(&mut elasticity, &penetration, &[], STOP);
+    let found = imprints(&Body { penetration, owner }, &contact, GRID, &Camera::default(), 1);
+    let [x0, _, x1, _] = found[0].expect("it touches").pixel_box;
+    assert_eq!(x1, PICTURE_PX as f64);
+    assert!((x0 - (500.0 + 16.0 / MM_PER_PX)).abs() < 4.5, "{x0}");
+}
+
+#[test]
+fn a_turned_sensor_answers_to_turned_light() {
+    let shading = Shading { channels: [0, 1, 2].map(|c| measured_sensors()[0].lights[c]) };
+    let angle: f64 = 0.7;
+    let (sin, cos) = angle.sin_cos();
+    for mirror in [false, true] {
+        let turned = shading.turned(angle, mirror);
+        // A place and slope in the turned frame, and the same in the original's.
+        let back = |[x, y]: [f64; 2]| {
+            let along = cos * x + sin * y;
+            [if mirror { -along } else { along }, cos * y - sin * x]
+        };
+        let (place, slope) = ([0.3, -0.8], [0.5, 0.2]);
+        let ([x, y], [gx, gy]) = (back(place), back(slope));
+        let a = turned.relative(place[0], place[1], slope[0], slope[1]);
+        let b = shading.relative(x, y, gx, gy);
+        for (a, b) in a.into_iter().zip(b) {
+            assert!((a - b).abs() < 1e-12, "{a} against {b}, mirrored: {mirror}");
+        }
+    }
+}
+
+#[test]
+fn the_fit_finds_known_coefficients() {
+    let truth = measured_sensors()[0].lights[0];
+    let shading = Shading { channels: [truth; 3] };
+    let mut fit = Fit::new();
+    let at = |i: i32| f64::from(i) / 4.0;
+    for (x, y) in (-4..5).flat_map(|x| (-4..5).map(move |y| (at(x), at(y)))) {
+        for (gx, gy) in (-4..5).flat_map(|x| (-4..5).map(move |y| (at(x), at(y)))) {
+            let seen = 130.0 * (1.0 + shading.relative(x, y, gx, gy)[0]);
+            fit.add(&position_terms(x, y), &normal_terms(gx, gy), 130.0, seen);
+        }
+    }
+    let found = fit.solve();
+    for (found, truth) in found.as_flattened().iter().zip(truth.as_flattened()) {
+        // The ridge draws coefficients towards zero by about its share of their own term.
+        assert!((found - truth).abs() < 1e-3, "{found}, expected {truth}");
+    }
+}
+
+#[test]
+fn held_out_presses_are_near_the_real_ones() {
+    let report = calibrate::calibrate(&data("gelsight_ball_presses")).expect("the data is there");
+    assert_eq!(report.presses, 48);
+    // The table that comes with the data: 9.71, 24.56 dB, 0.947. The harness is the same.
+    assert!((report.background.l1 - 9.71).abs() < 0.01, "{:?}", report.background);
+    assert!((report.background.psnr_db - 24.56).abs() < 0.01, "{:?}", report.background);
+    assert!((report.background.ssim - 0.947).abs() < 0.001, "{:?}", report.background);
+    assert!(report.held_out.l1 <= 4.5, "{:?}", report.held_out);
+    assert!(report.held_out.psnr_db >= 32.5, "{:?}", report.held_out);
+    assert!(report.held_out.ssim > report.background.ssim, "{:?}", report.held_out);
+
+    // What the simulator uses is what the calibration gives.
+    let mut sensors = vec![report.sensor()];
+    sensors.extend(calibrate::read_sensors(&data("gelsight_flatfields")).expect("files"));
+    assert_eq!(sensors.len(), measured_sensors().len());
+    for (found, used) in sensors.iter().zip(measured_sensors()) {
+        assert_eq!(found.name, used.name);
+        assert_eq!(found.lights.len(), used.lights.len());
+        let pairs = found.lights.as_flattened().iter().zip(used.lights.as_flattened());
+        for (found, used) in pairs.flat_map(|(a, b)| a.iter().zip(b)) {
+            // Transforms differ in rounding from processor to processor.
+            assert!((found - used).abs() < 0.01, "{}: {found} against {used}", used);
+        }
+    }
+}
+
+#[test]
+fn a_broken_calibration_names_its_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let error = calibrate::calibrate(folder.path()).expect_err("nothing is there");
+    assert!(error.to_string().contains("background.png"), "{error}");
+
+    let source = data("gelsight_ball_presses");
+    std::fs::copy(source.join("background.png"), folder.path().join("background.png"))
+        .expect("a copy");
+    let csv = "file,center_x_px,center_y_px,contact_radius_px\npress_00.png,1,2\n";
+    std::fs::write(folder.path().join("presses.csv"), csv).expect("a file");
+    let error = calibrate::calibrate(folder.path()).expect_err("a field is missing");
+    assert!(matches!(error, Error::Content { .. }), "{error}");
+    assert!(error.to_string().contains("press_00.png,1,2"), "{error}");
+
+    let yaml = folder.path().join("x.yaml");
+    std::fs::write(&yaml, "quadfit: \n    rows: 6\n    cols: 10\n    values: [1, 2]\n")
+        .expect("a file");
+    let error = calibrate::read_sensors(folder.path()).expect_err("too few numbers");
+    assert!(error.to_string().contains("2 numbers"), "{error}");
+}
+
+#[test]
+fn both_kinds_have_the_same_footprint() {
+    // Area of the part's outline, where it is less than 2.5 mm below its highest point.
+    let mean_area = |kind: Kind| {
+        let mut rng = Pcg64::seed_from_u64(3);
+        let areas = (0..60).map(|_| {
+            let snap = Snap::sample(&mut rng, kind);
+            assert_eq!(snap.kind(), kind);
+            let mut extent = [f64::INFINITY, f64::INFINITY, -f64::INFINITY, -f64::INFINITY];
+            for (x, y) in (-60..60).flat_map(|x| (-60..60).map(move |y| (x, y))) {
+                let (x, y) = (0.1 * f64::from(x), 0.1 * f64::from(y));
+                let height = snap.height(x, y);
+                assert!(height <= 1e-9, "{snap:?} rises to {height}");
+                if height > -1.6 {
+                    assert!(x.hypot(y) <= snap.reach() + 0.3, "{snap:?} reaches {x}, {y}");
+                    extent =
+                        [extent[0].min(x), extent[1].min(y), extent[2].max(x), extent[3].max(y)];
+                }
+            }
+            let fill = if kind == Kind::A { 1.0 } else { std::f64::consts::FRAC_PI_4 };
+            fill * (extent[2] - extent[0]) * (extent[3] - extent[1])
+        });
+        areas.sum::<f64>() / 60.0
+    };
+    // Both are uniform in 20 to 49 mm²: the standard error of a mean of 60 is 3 %, and the
+    // outlines' walls add up to a tenth.
+    let (a, b) = (mean_area(Kind::A), mean_area(Kind::B));
+    assert_close(a, b, 0.15, "mean area");
+}
+
+#[test]
+fn snaps_have_their_features() {
+    let mut rng = Pcg64::seed_from_u64(11);
+    for _ in 0..20 {
+        let Snap::Hook(hook) = Snap::sample(&mut rng, Kind::A) else { panic!("kind A is a hook") };
+        assert!((6.0..=10.0).contains(&hook.length) && (3.0..=5.0).contains(&hook.width));
+        let snap = Snap::Hook(hook.clone());
+        let along: Vec<f64> = (0..200)
+            .map(|i| snap.height((f64::from(i) / 199.0 - 0.5) * hook.length, 0.0))
+            .collect();
+        let highest = along.iter().fold(f64::NEG_INFINITY, |a, &b| a.max(b));
+        assert!(highest.abs() < 0.02, "the barb's top is at {highest}");
+        // The arm lies one undercut lower over a third of the length or more.
+        let arm = along.iter().filter(|h| (**h + hook.undercut).abs() < 0.01).count();
+        assert!(arm > 60, "the arm takes {arm} of 200");
+
+        let Snap::Stud(stud) = Snap::sample(&mut rng, Kind::B) else { panic!("kind B is a stud") };
+        let snap = Snap::Stud(stud.clone());
+        assert!(snap.height(0.0, 0.0) < -1.0, "the ring has no hole");
+        // Round the ring's crest, the height drops once for each slot.
+        let radius = stud.diameter / 2.0;
+        let crest = |angle: f64| {
+            let (x, y) = (angle.cos(), angle.sin() / stud.oval);
+            let r = radius - stud.bead - 0.45 * stud.wall;
+            snap.height(r * x, r * y) > -0.35
+        };
+        let turns = (0..720).filter(|i| {
+            let at = |i: i32| f64::from(i) * std::f64::consts::TAU / 720.0;
+            crest(at(*i)) && !crest(at(i + 1))
+        });
+        assert_eq!(turns.count(), stud.slots as usize, "{stud:?}");
+    }
+}
+
+#[test]
+fn scenes_follow_their_rules() {
+    let mut empty = 0;
+    let mut kinds = BTreeMap::new();
+    for seed in 0..400 {
+        let scene = Scene::sample(seed, Mix::Mixed);
+        empty += usize::from(scene.snaps.is_empty());
+        for (i, a) in scene.snaps.iter().enumerate() {
+            *kinds.entry(a.part.kind().name()).or_insert(0) += 1;
+            assert!(a.center_mm.iter().all(|c| c.abs() <= GEL_MM / 2.0));
+            for b in &scene.snaps[..i] {
+                let distance =
+                    (a.center_mm[0] - b.center_mm[0]).hypot(a.center_mm[1] - b.center_mm[1]);
+                assert!(distance > a.part.reach() + b.part.reach());
+            }
+        }
+        let only = Scene::sample(seed, Mix::A);
+        assert!(!only.snaps.is_empty() && only.snaps.iter().all(|s| s.part.kind() == Kind::A));
+        assert_eq!(scene, Scene::sample(seed, Mix::Mixed));
+    }
+    // 8 in 100 are empty: 32 of 400, standard deviation 5.4.
+    assert!((10..=54).contains(&empty), "{empty} scenes are empty");
+    let (a, b) = (kinds["A"], kinds["B"]);
+    // About 600 snaps, half of each kind: five standard deviations are 61.
+    assert!(i32::abs(a - b) < 125, "{a} of A, {b} of B");
+}
+
+#[test]
+fn every_snap_that_shows_is_labelled() {
+    let mut renderer = Renderer::new();
+    for seed in 0..4 {
+        let rendered = renderer.render(seed, Mix::B).expect("a picture");
+        assert_eq!(rendered.picture.dimensions(), (PICTURE_PX as u32, PICTURE_PX as u32));
+        assert!(!rendered.labels.is_empty());
+        for label in &rendered.labels {
+            assert_eq!(label.kind, Kind::B);
+            let [x0, y0, x1, y1] = label.pixel_box;
+            assert!(0.0 <= x0 && x0 < x1 && x1 <= 1000.0 && 0.0 <= y0 && y0 < y1 && y1 <= 1000.0);
+            assert!((x1 - x0).max(y1 - y0) >= LEAST_IMPRINT_PX);
+            assert!((label.center_mm[0] - ((x0 + x1) / 2.0 - 500.0) * MM_PER_PX).abs() < 1e-9);
+            // A ring touches part of its box.
+            let fill = label.area_px / ((x1 - x0) * (y1 - y0));
+            assert!((0.02..0.95).contains(&fill), "{fill} of the box touches");
+        }
+    }
+}
+
+/// All files of a folder with their bytes.
+fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        if path.is_dir() {
+            found.extend(contents(&path));
+        } else {
+            found.insert(path.clone(), std::fs::read(&path).expect("a file"));
+        }
+    }
+    found
+}
+
+fn relative(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let strip = |(path, bytes): (PathBuf, Vec<u8>)| {
+        (path.strip_prefix(folder).expect("it is inside").to_owned(), bytes)
+    };
+    contents(folder).into_iter().map(strip).collect()
+}
+
+#[test]
+fn data_sets_do_not_depend_on_threads_or_interruptions() {
+    let (one, three) = (tempfile::tempdir().expect("one"), tempfile::tempdir().expect("three"));
+    let settings =
+        |out: &Path, count| Settings { out: out.into(), count, seed: 42, mix: Mix::Mixed };
+    let run = |settings: &Settings, threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        let seen = Mutex::new(Vec::new());
+        let progress = |done: usize, all: usize| {
+            assert_eq!(all, settings.count);
+            seen.lock().expect("no panic").push(done);
+        };
+        let summary = pool.install(|| simulate(settings, &progress)).expect("a data set");
+        let mut seen = seen.into_inner().expect("no panic");
+        seen.sort_unstable();
+        assert_eq!(seen, (summary.kept..=settings.count).collect::<Vec<_>>());
+        summary
+    };
+    let summary = run(&settings(one.path(), 10), 1);
+    assert_eq!((summary.rendered, summary.kept), (10, 0));
+    let whole = relative(one.path());
+
+    // Three threads, begun with fewer pictures, cut off in the middle of one, then continued.
+    run(&settings(three.path(), 9), 3);
+    std::fs::remove_file(three.path().join("images/000004.png")).expect("a picture");
+    std::fs::remove_file(three.path().join("labels/000007.json")).expect("labels");
+    std::fs::write(three.path().join("images/000004.unfinished"), "torn").expect("a file");
+    let summary = run(&settings(three.path(), 10), 3);
+    assert_eq!((summary.rendered, summary.kept), (3, 7));
+    let resumed = relative(three.path());
+    assert!(whole.keys().eq(resumed.keys()), "{:?} against {:?}", whole.keys(), resumed.keys());
+    for (path, bytes) in &whole {
+        assert!(*bytes == resumed[path], "{} differs", path.display());
+    }
+
+    // The labels are COCO's.
+    let coco: serde_json::Value =
+        serde_json::from_slice(&whole[Path::new("annotations.json")]).expect("JSON");
+    let list = |name: &str| coco[name].as_array().expect("a list").clone();
+    assert_eq!(list("images").len(), 10);
+    assert_eq!(list("annotations").len(), summary.snaps);
+    let pairs: Vec<_> =
+        list("categories").iter().map(|c| (c["id"].clone(), c["name"].clone())).collect();
+    assert_eq!(pairs, [(1.into(), "A".into()), (2.into(), "B".into())]);
+    for image in list("images") {
+        let file = Path::new("images").join(image["file_name"].as_str().expect("a name"));
+        assert!(whole.contains_key(&file));
+        let index = image["id"].as_u64().expect("a number");
+        assert_eq!(image["scene_seed"], scene_seed(42, index).to_string());
+    }
+    for annotation in list("annotations") {
+        let kind = annotation["kind"].as_str().expect("a name");
+        assert_eq!(annotation["category_id"], if kind == "A" { 1 } else { 2 });
+        let b: Vec<f64> = annotation["bbox"]
+            .as_array()
+            .expect("four")
+            .iter()
+            .filter_map(|v| v.as_f64())
+            .collect();
+        assert!((annotation["area"].as_f64().expect("a number") - b[2] * b[3]).abs() < 1.0);
+        let x = annotation["center_mm"][0].as_f64().expect("a number");
+        assert!((x - (b[0] + b[2] / 2.0 - 500.0) * MM_PER_PX).abs() < 1e-3);
+    }
+
+    // Another seed may not continue the folder.
+    let other = Settings { seed: 43, ..settings(one.path(), 2) };
+    let error = simulate(&other, &|_, _| ()).expect_err("another seed");
+    assert!(matches!(error, Error::OtherDataset { .. }), "{error}");
+    assert!(error.to_string().contains("seed 42"), "{error}");
+}
+
+#[test]
+fn scene_seeds_of_different_data_sets_differ() {
+    let mut seen = std::collections::BTreeSet::new();
+    for seed in 0..50 {
+        for index in 0..1000 {
+            assert!(seen.insert(scene_seed(seed, index)), "seed {seed}, picture {index}");
+        }
+    }
+}

@@ -1,0 +1,249 @@
+//! The whole network, stage by stage: shaders against the f64 reference and against PyTorch.
+
+mod support;
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use image::DynamicImage;
+use smr_gpu::gpu::{Plan, PlanOptions};
+use smr_gpu::model::{ModelConfig, Network, Thresholds, Variant, Weights};
+use smr_gpu::tensor::{Tensor, Value};
+use smr_gpu::{Config, Detections, Device, Error, GpuDetector};
+
+/// The bound that each stage of the float network is held to, on the trained weights.
+const RELATIVE_L2: f64 = 1e-5;
+/// The same on untrained weights, whose stages amplify rounding more than trained ones do; a wrong
+/// wire or shape is off by orders more.
+const UNTRAINED: f64 = 1e-4;
+
+fn file(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+fn detector(device: Device, change: impl FnOnce(&mut Config)) -> GpuDetector {
+    let mut config = Config::new(file("weights/smrnet.safetensors"));
+    config.device = device;
+    config.keep_stages = true;
+    change(&mut config);
+    GpuDetector::new(config).expect("a detector")
+}
+
+/// ‖got − want‖ / ‖want‖ over the rows that a count on the device made valid.
+fn relative_l2(got: &[f32], want: &[f32]) -> f64 {
+    let mut difference = 0.0;
+    let mut norm = 0.0;
+    for (g, w) in got.iter().zip(want) {
+        let (g, w) = (f64::from(*g), f64::from(*w));
+        difference += (g - w).powi(2);
+        norm += w * w;
+    }
+    if norm == 0.0 { difference.sqrt() } else { (difference / norm).sqrt() }
+}
+
+fn floats<'a>(stages: &'a [(String, Value)], name: &str) -> &'a [f32] {
+    let found = stages.iter().find(|(n, _)| n == name);
+    found.unwrap_or_else(|| panic!("no stage {name}")).1.f32().expect("floats").data()
+}
+
+/// Rows of a stage that are defined: what the RoI head makes of proposals that exist.
+fn defined(name: &str, all: usize, proposals: usize, detections: usize) -> usize {
+    match name {
+        "proposals" | "proposal_scores" => all / 100 * proposals,
+        n if n.starts_with("roi_head.") && !n.contains("nms") => all / 100 * proposals,
+        n if n.starts_with("detection_") && n != "detection_count" => all / 100 * detections,
+        _ => all,
+    }
+}
+
+fn same_detections(a: &Detections, b: &Detections) {
+    assert_eq!(a.detections.len(), b.detections.len());
+    for (x, y) in a.detections.iter().zip(&b.detections) {
+        assert_eq!(x.class, y.class);
+        assert!((x.score - y.score).abs() <= 1e-4, "{x:?} {y:?}");
+        for (p, q) in x.bbox.iter().zip(y.bbox) {
+            assert!((p - q).abs() <= 0.02, "{x:?} {y:?}");
+        }
+    }
+}
+
+/// PyTorch's tensors, in float64 from the same weights: see weights/training/fixtures.py.
+#[test]
+fn stages_match_pytorch() {
+    let bytes = std::fs::read(file("tests/fixtures/stages.safetensors")).expect("the fixture");
+    let golden = safetensors::SafeTensors::deserialize(&bytes).expect("the fixture's tensors");
+    let picture = image::open(file("tests/fixtures/stages.png")).expect("the fixture's picture");
+    for device in [Device::default(), Device::Cpu] {
+        let size = golden.tensor("pixels").expect("pixels").shape()[2];
+        let detector = detector(device.clone(), |c| c.input_size = Some(size));
+        let (found, stages) = detector.detect_with_stages(&picture).expect("a detection");
+        let mut compared = 0;
+        for (name, view) in golden.iter() {
+            if view.dtype() != safetensors::Dtype::F32
+                || name == "pixels"
+                || name == "detections.boxes"
+                || name == "detections.scores"
+            {
+                continue;
+            }
+            let want: Vec<f32> = bytemuck::pod_collect_to_vec(view.data());
+            let got = floats(&stages, name);
+            let error = relative_l2(&got[..want.len()], &want);
+            println!("{device:?} {name}: {error:.2e}");
+            assert!(error <= RELATIVE_L2, "{device:?} {name}: relative L2 error {error:.2e}");
+            compared += 1;
+        }
+        assert!(compared >= 20, "only {compared} stages");
+        let boxes = golden.tensor("detections.boxes").expect("boxes");
+        assert_eq!(found.detections.len(), boxes.shape()[0], "{device:?}");
+        let labels = golden.tensor("detections.labels").expect("labels");
+        let labels: Vec<i32> = bytemuck::pod_collect_to_vec(labels.data());
+        let classes = &detector.model().classes;
+        for (detection, label) in found.detections.iter().zip(labels) {
+            assert_eq!(detection.class, classes[label as usize - 1], "{device:?}");
+        }
+    }
+}
+
+#[test]
+fn gpu_matches_the_f64_network_on_a_sample() {
+    let picture = first_sample();
+    let gpu = detector(Device::default(), |_| ());
+    let cpu = detector(Device::Cpu, |_| ());
+    let (found, got) = gpu.detect_with_stages(&picture).expect("a detection");
+    let (expected, want) = cpu.detect_with_stages(&picture).expect("a detection");
+    assert!(!expected.detections.is_empty(), "the sample shows a snap");
+    assert_eq!(found.proposals, expected.proposals);
+    let want: HashMap<_, _> = want.into_iter().collect();
+    for (name, got) in &got {
+        let want = &want[name];
+        if let (Value::F32(got), Value::F32(want)) = (got, want) {
+            let n = defined(
+                name,
+                got.data().len(),
+                expected.proposals as usize,
+                expected.detections.len(),
+            );
+            let error = relative_l2(&got.data()[..n], &want.data()[..n]);
+            println!("{name}: {error:.2e}");
+            assert!(error <= RELATIVE_L2, "{name}: relative L2 error {error:.2e}");
+        }
+    }
+    same_detections(&found, &expected);
+}
+
+#[test]
+fn buffer_reuse_changes_no_bit() {
+    let picture = first_sample();
+    let run = |reuse| {
+        let detector = detector(Device::default(), |c| {
+            c.keep_stages = false;
+            c.reuse_buffers = reuse;
+        });
+        detector.detect(&picture).expect("a detection").detections
+    };
+    assert_eq!(run(true), run(false));
+}
+
+#[test]
+fn a_second_picture_leaves_no_trace_of_the_first() {
+    let picture = first_sample();
+    let detector = detector(Device::default(), |c| c.keep_stages = false);
+    let first = detector.detect(&picture).expect("a detection").detections;
+    // Larger than the sensor's picture, so that the buffers must grow.
+    let large = DynamicImage::new_luma8(1500, 1100);
+    detector.detect(&large).expect("a detection");
+    assert_eq!(detector.detect(&picture).expect("a detection").detections, first);
+}
+
+fn first_sample() -> DynamicImage {
+    let mut samples: Vec<_> = std::fs::read_dir(file("samples"))
+        .expect("samples")
+        .map(|entry| entry.expect("an entry").path())
+        .filter(|path| path.extension().is_some_and(|e| e == "png"))
+        .collect();
+    samples.sort();
+    image::open(&samples[0]).expect("a sample")
+}
+
+fn small_config(variant: Variant) -> ModelConfig {
+    ModelConfig {
+        format: 1,
+        input_size: 64,
+        mean: [0.5; 3],
+        std: [0.2; 3],
+        classes: vec!["A".into(), "B".into()],
+        anchor_sizes: vec![16.0, 32.0],
+        anchor_ratios: vec![0.5, 1.0, 2.0],
+        mm_per_pixel: 0.04,
+        reduction: 16,
+        variant,
+    }
+}
+
+/// Each of the paper's ablations runs the same on the device as in the reference. The weights are
+/// untrained, so their scores nearly tie and choices among them may fall either way: compared are
+/// the maps, and what becomes of the best proposal.
+#[test]
+fn every_variant_matches_its_reference() {
+    let full = Variant { safe: true, msff: true, rw: true };
+    let variants = [
+        full,
+        Variant { safe: false, ..full },
+        Variant { msff: false, ..full },
+        Variant { rw: false, ..full },
+    ];
+    for variant in variants {
+        let weights = Weights::random(small_config(variant), 7);
+        let thresholds =
+            Thresholds { score: 0.0, iou: 0.5, max_detections: 100, class_mask: u32::MAX };
+        let network = Network::new(weights, 80 * 70, thresholds).expect("a network");
+        let graph = &network.graph;
+        let pixel = |i| (i as u32).wrapping_mul(2_654_435_761);
+        let picture = Value::from(Tensor::from_fn([80 * 70], pixel));
+        let crop = Tensor::new([5], vec![80, 70, 5, 0, 70]).expect("five values").into();
+        let inputs = [(network.picture, &picture), (network.crop, &crop)];
+        let keep = graph.computed();
+        let (want, _) = graph.reference(&inputs, &keep).expect("the reference");
+        let recording = graph.record(&keep).expect("a recording");
+        let plan = Plan::new(support::gpu(), &recording, PlanOptions::default());
+        let got = pollster::block_on(plan).expect("a plan").run(&inputs).expect("a run").values;
+        for (name, rows) in [
+            ("rpn.cls", None),
+            ("rpn.bbox", None),
+            ("proposals", Some(1)),
+            ("roi_head.pool", Some(1)),
+            ("roi_head.cls_score", Some(1)),
+            ("roi_head.bbox_pred", Some(1)),
+        ] {
+            let found = keep.iter().find(|id| graph.name(**id) == name);
+            let id = found.unwrap_or_else(|| panic!("{variant:?} has no {name}"));
+            let [got, want] = [&got, &want].map(|v| v[id].f32().expect("floats").clone());
+            let row: usize = got.dims()[1..].iter().product();
+            let n = rows.map_or(got.data().len(), |r: usize| r * row);
+            let error = relative_l2(&got.data()[..n], &want.data()[..n]);
+            assert!(error <= UNTRAINED, "{variant:?} {name}: {error:.2e}");
+        }
+        assert!(got[&network.count].u32().expect("a count").data()[0] > 0, "{variant:?}");
+    }
+}
+
+/// A weight that makes the network overflow is reported, not drawn as a box.
+#[test]
+fn overflow_is_reported() {
+    let bytes = std::fs::read(file("weights/smrnet.safetensors")).expect("the weights");
+    let (header, metadata) = safetensors::SafeTensors::read_metadata(&bytes).expect("a header");
+    let info = metadata.info("backbone.bn1.weight").expect("the tensor").clone();
+    assert_eq!(info.dtype, safetensors::Dtype::F32);
+    let mut broken = bytes.clone();
+    let start = 8 + header + info.data_offsets.0;
+    for value in broken[start..8 + header + info.data_offsets.1].chunks_exact_mut(4) {
+        value.copy_from_slice(&3e38f32.to_le_bytes());
+    }
+    let mut config = Config::new("unused");
+    config.weights = smr_gpu::WeightSource::Bytes("broken".into(), broken.into());
+    config.input_size = Some(64);
+    let detector = GpuDetector::new(config).expect("a detector");
+    let result = detector.detect(&first_sample());
+    assert!(matches!(result, Err(Error::NotFinite { .. })), "{result:?}");
+}

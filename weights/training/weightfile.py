@@ -1,0 +1,45 @@
+"""The weight file: safetensors in f16 and f32, with the configuration as JSON in its metadata."""
+
+import json
+from pathlib import Path
+
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from model import Config, SmrNet
+
+
+def _stored(name: str, tensor: Tensor) -> Tensor:
+    """Weights of convolutions and linear layers in f16; vectors (biases, batch norm) in f32.
+
+    A running variance can lie below the f16 range and is divided by; the vectors
+    together are 0.1 % of the file.
+    """
+    half = tensor.ndim > 1
+    return tensor.detach().cpu().contiguous().to(torch.float16 if half else torch.float32).clone()
+
+
+def save(model: SmrNet, file: Path) -> None:
+    tensors = {k: _stored(k, v) for k, v in model.state_dict().items() if not k.endswith("num_batches_tracked")}
+    for name, tensor in tensors.items():
+        if not torch.isfinite(tensor).all():
+            raise SystemExit(f"{name}: not finite in {tensor.dtype}")
+    part = file.with_suffix(".part")
+    save_file(tensors, part, metadata={"config": json.dumps(model.config.to_dict())})
+    part.chmod(0o644)
+    part.rename(file)
+
+
+def load(file: Path, dtype: torch.dtype = torch.float32) -> SmrNet:
+    """The network with the rounded weights of the file, ready for inference."""
+    with safe_open(file, "pt") as saved:
+        config = Config.from_dict(json.loads(saved.metadata()["config"]))
+        tensors = {k: saved.get_tensor(k).to(dtype) for k in saved.keys()}
+    model = SmrNet(config).to(dtype)
+    missing, unexpected = model.load_state_dict(tensors, strict=False)
+    missing = [k for k in missing if not k.endswith("num_batches_tracked")]
+    if missing or unexpected:
+        raise SystemExit(f"{file}: missing {missing}, unexpected {unexpected}")
+    return model.to(memory_format=torch.channels_last).eval()

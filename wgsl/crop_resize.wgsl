@@ -1,0 +1,96 @@
+// A square crop of a packed RGBA8 picture, resized to size x size and normalised, as [3, size, size].
+//
+// The filter is a triangle, widened where the picture shrinks. Distances are counted in
+// 1 / (2 size) of a picture's pixel: pixel j has its centre at (2j + 1) size, output i at
+// (2i + 1) side, and the triangle reaches 2 max(side, size). All are integers, so that each weight
+// is exact.
+
+// include: index
+
+struct Params {
+    size: u32,
+    capacity: u32,
+    mean_r: f32,
+    mean_g: f32,
+    mean_b: f32,
+    std_r: f32,
+    std_g: f32,
+    std_b: f32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+// Red in the low byte, row-major.
+@group(0) @binding(1) var<storage, read> picture: array<u32>;
+// Picture width, picture height, crop x, crop y, crop side.
+@group(0) @binding(2) var<storage, read> crop: array<u32>;
+@group(0) @binding(3) var<storage, read_write> output: array<f32>;
+
+// The pixels first..end of the crop, along one axis, that one output sees.
+struct Taps {
+    centre: u32,
+    reach: u32,
+    first: u32,
+    end: u32,
+}
+
+fn taps(i: u32, side: u32) -> Taps {
+    let size = params.size;
+    let centre = (2u * i + 1u) * side;
+    let reach = 2u * max(side, size);
+    var first = 0u;
+    if centre >= reach + size {
+        first = (centre - reach - size) / (2u * size) + 1u;
+    }
+    let end = min((centre + reach + size - 1u) / (2u * size), side);
+    return Taps(centre, reach, first, end);
+}
+
+fn weight(t: Taps, j: u32) -> f32 {
+    let at = (2u * j + 1u) * params.size;
+    return f32(t.reach - (max(at, t.centre) - min(at, t.centre)));
+}
+
+fn total_weight(t: Taps) -> f32 {
+    var total = 0.0;
+    for (var j = t.first; j < t.end; j++) {
+        total += weight(t, j);
+    }
+    return total;
+}
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let area = params.size * params.size;
+    let pixel = linear_index(workgroup, workgroups, local, 64u);
+    if pixel >= area {
+        return;
+    }
+    let width = crop[0];
+    let side = crop[4];
+    let y = pixel / params.size;
+    let rows = taps(y, side);
+    let columns = taps(pixel - y * params.size, side);
+    var total = vec3<f32>(0.0);
+    for (var j = rows.first; j < rows.end; j++) {
+        let start = (crop[3] + j) * width + crop[2];
+        var row = vec3<f32>(0.0);
+        for (var i = columns.first; i < columns.end; i++) {
+            // The crop is data: whatever it says, nothing is read outside the picture's buffer.
+            let packed = picture[min(start + i, params.capacity - 1u)];
+            let rgb = vec3<u32>(packed & 255u, (packed >> 8u) & 255u, (packed >> 16u) & 255u);
+            row = fma(vec3<f32>(weight(columns, i)), vec3<f32>(rgb), row);
+        }
+        total = fma(vec3<f32>(weight(rows, j)), row, total);
+    }
+    let value = total / (total_weight(rows) * total_weight(columns) * 255.0);
+    let mean = vec3<f32>(params.mean_r, params.mean_g, params.mean_b);
+    let deviation = vec3<f32>(params.std_r, params.std_g, params.std_b);
+    let normal = (value - mean) / deviation;
+    output[pixel] = normal.x;
+    output[area + pixel] = normal.y;
+    output[2u * area + pixel] = normal.z;
+}

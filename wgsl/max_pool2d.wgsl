@@ -1,0 +1,52 @@
+// The largest value in each window, on [C, H, W]. Windows are cut at the picture's edges, which is
+// the same as padding with minus infinity; none is empty as padding is at most half the kernel.
+
+// include: index
+
+struct Params {
+    channels: u32,
+    in_height: u32,
+    in_width: u32,
+    out_height: u32,
+    out_width: u32,
+    kernel: u32,
+    stride: u32,
+    padding: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> input: array<f32>;
+@group(0) @binding(2) var<storage, read_write> output: array<f32>;
+
+// The pixels start..end of an axis of `length` pixels that window `i` sees.
+fn window(i: u32, length: u32) -> vec2<u32> {
+    let start = i * params.stride;
+    return vec2<u32>(
+        max(start, params.padding) - params.padding,
+        min(start + params.kernel - params.padding, length),
+    );
+}
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let index = linear_index(workgroup, workgroups, local, 64u);
+    if index >= params.channels * params.out_height * params.out_width {
+        return;
+    }
+    let row = index / params.out_width;
+    let channel = row / params.out_height;
+    let rows = window(row - channel * params.out_height, params.in_height);
+    let columns = window(index - row * params.out_width, params.in_width);
+    let plane = channel * params.in_height * params.in_width;
+    var largest = input[plane + rows.x * params.in_width + columns.x];
+    for (var y = rows.x; y < rows.y; y++) {
+        for (var x = columns.x; x < columns.y; x++) {
+            largest = max(largest, input[plane + y * params.in_width + x]);
+        }
+    }
+    output[index] = largest;
+}

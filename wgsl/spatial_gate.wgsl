@@ -1,0 +1,61 @@
+// CBAM's spatial gate: sigmoid of a 7x7 convolution of the two pooled maps, padding 3, with bias.
+//
+// An invocation computes 4 neighbouring pixels of a row and slides a window of 4 values along it,
+// so that each value is loaded once for 4 outputs.
+
+// include: index
+// include: sigmoid
+
+struct Params {
+    height: u32,
+    width: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> pooled: array<f32>;
+@group(0) @binding(2) var<storage, read> weight: array<f32>;
+@group(0) @binding(3) var<storage, read> bias: array<f32>;
+@group(0) @binding(4) var<storage, read_write> output: array<f32>;
+
+// Column `x` of the row that starts at `row`, zero outside; `x` below zero wraps to a large number.
+fn value(row: u32, x: u32) -> f32 {
+    let inside = x < params.width;
+    return select(0.0, pooled[row + select(0u, x, inside)], inside);
+}
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let quads = (params.width + 3u) / 4u;
+    let index = linear_index(workgroup, workgroups, local, 64u);
+    if index >= params.height * quads {
+        return;
+    }
+    let y = index / quads;
+    let x = (index - y * quads) * 4u;
+    var logits = vec4<f32>(bias[0]);
+    for (var plane = 0u; plane < 2u; plane++) {
+        for (var ky = 0u; ky < 7u; ky++) {
+            let iy = y + ky - 3u;
+            if iy >= params.height {
+                continue;
+            }
+            let row = (plane * params.height + iy) * params.width;
+            let taps = (plane * 7u + ky) * 7u;
+            var window = vec4<f32>(
+                value(row, x - 3u), value(row, x - 2u), value(row, x - 1u), value(row, x));
+            for (var kx = 0u; kx < 7u; kx++) {
+                logits = fma(vec4<f32>(weight[taps + kx]), window, logits);
+                window = vec4<f32>(window.yzw, value(row, x + kx + 1u));
+            }
+        }
+    }
+    for (var i = 0u; i < 4u; i++) {
+        if x + i < params.width {
+            output[y * params.width + x + i] = sigmoid(logits[i]);
+        }
+    }
+}

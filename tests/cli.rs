@@ -267,7 +267,7 @@ fn pictures(folder: &Path) -> (Vec<&'static str>, Vec<(&'static str, &'static st
         ("empty.png", "expected a PNG, JPEG, BMP or TIFF picture"),
         ("huge.png", "expected at most 33554432 pixels, got 60000 × 60000"),
         ("text.png", "expected a PNG, JPEG, BMP or TIFF picture"),
-        ("truncated.png", "expected a whole Png picture"),
+        ("truncated.png", "expected a readable Png"),
     ];
     (good, bad)
 }
@@ -338,7 +338,7 @@ fn stdin_is_a_picture_and_stages_are_dumped() {
     let config: Value = serde_json::from_str(&metadata["config"]).expect("JSON");
     let side = config["input_size"].as_u64().expect("a size") as usize;
     let stages = SafeTensors::deserialize(&bytes).expect("tensors");
-    let pixels = stages.tensor("pixels").expect("the network's input");
+    let pixels = stages.tensor("input").expect("the network's input");
     assert_eq!((pixels.dtype(), pixels.shape()), (Dtype::F32, [3, side, side].as_slice()));
     let count = stages.tensor("detection_count").expect("the count");
     let found = ran.json()[0]["detections"].as_array().expect("a list").len();

@@ -56,3 +56,8 @@ pub mod tensor;
 
 pub use detector::{Config, Detection, Detections, Device, GpuDetector, WeightSource};
 pub use error::{Error, Result};
+
+/// The README's example runs as a test.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

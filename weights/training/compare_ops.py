@@ -64,7 +64,7 @@ def nms_case(binary, device, count: int, iou: float) -> bool:
     boxes = torch.cat([centre - extent / 2, centre + extent / 2], dim=1)
     # Distinct scores, so that the order is defined in torchvision too.
     scores = (torch.randperm(count).float() + 0.5) / count
-    out = run(binary, device, "nms", {"boxes": boxes, "scores": scores}, {"iou": iou})
+    out = run(binary, device, "nms", {"boxes": boxes, "scores": scores}, {"iou_threshold": iou})
     truth = ops.nms(boxes, scores, iou)
     number = int(out["count"].flatten()[0])
     got = out["keep"].flatten()[:number].long()

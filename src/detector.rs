@@ -296,7 +296,9 @@ impl GpuDetector {
         };
         check_finite(network, &values)?;
         let scale = side as f32 / network.config.input_size as f32;
-        let place = Place { scale, origin: [x0 as f32, y0 as f32], width, height };
+        let mm_per_pixel = network.config.mm_per_pixel_of(side);
+        let origin = [x0 as f32, y0 as f32];
+        let place = Place { scale, mm_per_pixel, origin, width, height };
         let detections = Detections {
             detections: collect(network, &values, place)?,
             width,
@@ -342,6 +344,7 @@ async fn plan(gpu: &Arc<Gpu>, network: &Network, config: &Config) -> Result<Plan
 #[derive(Clone, Copy)]
 struct Place {
     scale: f32,
+    mm_per_pixel: f32,
     origin: [f32; 2],
     width: u32,
     height: u32,
@@ -378,24 +381,32 @@ fn collect(
             let center = |i: usize| (bbox[i] + bbox[i + 2]) / 2.0 - middle[i];
             let name = config.classes.get((*class as usize).wrapping_sub(1));
             let name = name.ok_or_else(|| {
-                Error::tensor("detect", "detection_classes", "a class of the weights", class)
+                Error::tensor("detect", "detections.labels", "a class of the weights", class)
             })?;
             Ok(Detection {
                 class: name.clone(),
                 score: *score,
                 bbox,
-                center_mm: [0, 1].map(|i| center(i) * config.mm_per_pixel),
+                center_mm: [0, 1].map(|i| center(i) * place.mm_per_pixel),
             })
         })
         .collect()
 }
 
+/// Looks for values that are not finite in what each head gave: NaN stays NaN from where it arises
+/// to these, while comparisons behind them would only drop it.
 fn check_finite(network: &Network, values: &HashMap<TensorId, Value>) -> Result<()> {
-    for id in &network.witnesses {
-        let data = value(network, values, *id)?.f32()?.data();
-        let count = data.iter().filter(|v| !v.is_finite()).count() as u64;
+    let proposals = count_of(network, values, network.proposal_count)? as usize;
+    for witness in &network.witnesses {
+        let tensor = value(network, values, witness.tensor)?.f32()?;
+        let live = match witness.by_proposal {
+            true => proposals * tensor.dims().iter().skip(1).product::<usize>(),
+            false => tensor.data().len(),
+        };
+        let count = tensor.data()[..live].iter().filter(|v| !v.is_finite()).count() as u64;
         if count > 0 {
-            return Err(Error::NotFinite { stage: network.graph.name(*id).into(), count });
+            let stage = network.graph.name(witness.tensor).into();
+            return Err(Error::NotFinite { stage, count });
         }
     }
     Ok(())

@@ -9,7 +9,7 @@ pub struct Shape(pub Vec<usize>);
 impl Shape {
     /// Number of elements; 1 for a scalar (no dimensions).
     pub fn elements(&self) -> usize {
-        self.0.iter().product()
+        self.0.iter().fold(1, |product: usize, d| product.saturating_mul(*d))
     }
 
     /// Number of dimensions.
@@ -70,7 +70,7 @@ impl TensorSpec {
 
     /// Size in bytes.
     pub fn bytes(&self) -> u64 {
-        self.shape.elements() as u64 * 4
+        (self.shape.elements() as u64).saturating_mul(4)
     }
 }
 

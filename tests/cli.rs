@@ -340,7 +340,7 @@ fn stdin_is_a_picture_and_stages_are_dumped() {
     let stages = SafeTensors::deserialize(&bytes).expect("tensors");
     let pixels = stages.tensor("input").expect("the network's input");
     assert_eq!((pixels.dtype(), pixels.shape()), (Dtype::F32, [3, side, side].as_slice()));
-    let count = stages.tensor("detection_count").expect("the count");
+    let count = stages.tensor("detections.count").expect("the count");
     let found = ran.json()[0]["detections"].as_array().expect("a list").len();
     assert_eq!(
         (count.dtype(), count.data()),

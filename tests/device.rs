@@ -50,3 +50,39 @@ fn a_tensor_past_the_binding_limit_is_refused() {
         other => panic!("{other:?}"),
     }
 }
+
+/// After a time limit ran out the same plan runs again: nothing is left pending.
+#[test]
+fn a_time_limit_is_a_typed_error_and_leaves_the_plan_usable() {
+    use smr_gpu::ops::case::random;
+    use smr_gpu::ops::{Conv2d, Op};
+    let run = |timeout| {
+        let gpu = open(|o| o.timeout = timeout).expect("an adapter");
+        let mut recording = Recording::default();
+        let op = Conv2d { padding: 1, bias: false, ..Conv2d::default() };
+        let input = recording.constant("input", random(1, [64, 80, 80]));
+        let weight = recording.constant("weight", random(2, [64, 64, 3, 3]));
+        let output = recording.tensor("output", TensorSpec::f32([64, 80, 80]), Role::Output);
+        op.record(&mut recording, &[input, weight], &[output]).expect("a recording");
+        let plan = Plan::new(&gpu, &recording, PlanOptions::default());
+        let mut plan = pollster::block_on(plan).expect("a plan");
+        [plan.run(&[]).map(|_| ()), plan.run(&[]).map(|_| ())]
+    };
+    for result in run(Duration::ZERO) {
+        assert!(matches!(result, Err(Error::Timeout { .. })), "{result:?}");
+    }
+    for result in run(Duration::from_secs(60)) {
+        result.expect("a run");
+    }
+}
+
+/// Programs with an executor of their own move the future between threads.
+#[test]
+fn the_detector_and_its_future_can_be_sent() {
+    fn sendable<T: Send>(value: T) -> T {
+        value
+    }
+    fn shared<T: Send + Sync>() {}
+    shared::<smr_gpu::GpuDetector>();
+    drop(sendable(smr_gpu::GpuDetector::new_async(smr_gpu::Config::new("none"))));
+}

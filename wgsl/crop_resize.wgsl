@@ -70,7 +70,8 @@ fn main(
         return;
     }
     let width = crop[0];
-    let side = crop[4];
+    // The crop is data: no side is longer than the picture's, nor than the buffer.
+    let side = min(crop[4], min(min(crop[0], crop[1]), params.capacity));
     let y = pixel / params.size;
     let rows = taps(y, side);
     let columns = taps(pixel - y * params.size, side);
@@ -79,7 +80,7 @@ fn main(
         let start = (crop[3] + j) * width + crop[2];
         var row = vec3<f32>(0.0);
         for (var i = columns.first; i < columns.end; i++) {
-            // The crop is data: whatever it says, nothing is read outside the picture's buffer.
+            // Nor is anything read outside the picture's buffer, whatever the corner says.
             let packed = picture[min(start + i, params.capacity - 1u)];
             let rgb = vec3<u32>(packed & 255u, (packed >> 8u) & 255u, (packed >> 16u) & 255u);
             row = fma(vec3<f32>(weight(columns, i)), vec3<f32>(rgb), row);

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use smr_gpu::metrics::{
     self, PictureBoxes, ScoredBox, average_precision, average_precision_50_95, quantile,
 };
+use smr_gpu::model::ModelConfig;
 use smr_gpu::{Detections, GpuDetector};
 
 use super::detector::{self, DetectorArgs, fraction};
@@ -144,8 +145,8 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         match look(&detector, labelled) {
             Ok(found) => {
                 seconds += found.wall.as_secs_f64();
-                for (index, class) in classes.iter().enumerate() {
-                    boxes[index].push(of_class(index, class, labelled, &found));
+                for (index, boxes) in boxes.iter_mut().enumerate() {
+                    boxes.push(of_class(index, detector.model(), labelled, &found));
                 }
             }
             Err(Failure { exit: Exit::Inputs, message }) => {
@@ -159,9 +160,8 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     progress.finish_and_clear();
 
     let conf = f64::from(args.conf);
-    let mm = f64::from(detector.model().mm_per_pixel);
-    let rows: Vec<Row> = classes.iter().zip(&boxes).map(|(c, b)| row(c, &[b], conf, mm)).collect();
-    let all = row("all", &boxes.iter().collect::<Vec<_>>(), conf, mm);
+    let rows: Vec<Row> = classes.iter().zip(&boxes).map(|(c, b)| row(c, &[b], conf)).collect();
+    let all = row("all", &boxes.iter().collect::<Vec<_>>(), conf);
     let looked_at = pictures.len() - failed;
     let report = Report {
         pictures: looked_at,
@@ -243,26 +243,35 @@ fn look(detector: &GpuDetector, labelled: &Labelled) -> Result<Detections, Failu
     detector.detect(&picture).map_err(|e| Failure::new(exit_of(&e), format!("{source}: {e}")))
 }
 
-fn of_class(index: usize, class: &str, labelled: &Labelled, found: &Detections) -> PictureBoxes {
-    let truths = labelled.truths.iter().filter(|(c, _)| *c == index).map(|(_, b)| *b);
+/// The boxes of one class in millimetres: overlaps do not depend on the unit, centre errors do.
+fn of_class(
+    index: usize,
+    model: &ModelConfig,
+    labelled: &Labelled,
+    found: &Detections,
+) -> PictureBoxes {
+    let class = &model.classes[index];
+    let mm = f64::from(model.mm_per_pixel_of(found.width.min(found.height)));
+    let truths =
+        labelled.truths.iter().filter(|(c, _)| *c == index).map(|(_, b)| b.map(|x| x * mm));
     let found = found
         .detections
         .iter()
-        .filter(|d| d.class == class)
-        .map(|d| ScoredBox { bbox: d.bbox.map(f64::from), score: f64::from(d.score) });
+        .filter(|d| d.class == *class)
+        .map(|d| ScoredBox { bbox: d.bbox.map(|x| f64::from(x) * mm), score: f64::from(d.score) });
     PictureBoxes { truths: truths.collect(), found: found.collect() }
 }
 
 /// Figures over the classes of `boxes`: overlaps and errors over all their snaps, average
 /// precision as the mean of theirs.
-fn row(class: &str, boxes: &[&Vec<PictureBoxes>], conf: f64, mm_per_pixel: f64) -> Row {
+fn row(class: &str, boxes: &[&Vec<PictureBoxes>], conf: f64) -> Row {
     let (mut overlaps, mut errors, mut false_alarms) = (Vec::new(), Vec::new(), 0);
     for picture in boxes.iter().copied().flatten() {
         for (truth, best) in picture.truths.iter().zip(picture.best(conf)) {
             overlaps.push(best.map_or(0.0, |(_, iou)| iou));
             if let Some((found, _)) = best.filter(|(_, iou)| *iou >= RIGHT_IOU) {
                 let ([x, y], [u, v]) = (metrics::center(*truth), metrics::center(found.bbox));
-                errors.push((x - u).hypot(y - v) * mm_per_pixel);
+                errors.push((x - u).hypot(y - v));
             }
         }
         false_alarms += picture.false_alarms(conf, RIGHT_IOU);

@@ -3,14 +3,17 @@
 use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
 
-use smr_gpu::Device;
 use smr_gpu::ops::{self, Op, Params, case};
 use smr_gpu::tensor::Value;
+use smr_gpu::{Device, Error};
 
 use super::detector::{DeviceArgs, open_gpu};
 use super::exit::{Exit, Failure};
 use super::output::line;
 use super::tensors;
+
+/// Largest output of an operation; a device's limits are below it.
+const MAX_OUTPUT_BYTES: u64 = 1 << 30;
 
 /// Run one operation on tensors from a file
 ///
@@ -95,7 +98,12 @@ fn take_inputs(op: &dyn Op, tensors: &mut BTreeMap<String, Value>) -> Result<Vec
 
 fn compute(op: &dyn Op, inputs: &[Value], device: &Device) -> Result<Vec<Value>, Failure> {
     let specs: Vec<_> = inputs.iter().map(Value::spec).collect();
-    op.infer(&specs)?;
+    // The CPU path has no device to refuse a size that no memory holds.
+    let needed = op.infer(&specs)?.iter().map(|s| s.bytes()).max().unwrap_or(0);
+    if needed > MAX_OUTPUT_BYTES {
+        let what = format!("{}: bytes for an output", op.name());
+        return Err(Error::Capacity { what, needed, available: MAX_OUTPUT_BYTES }.into());
+    }
     Ok(match open_gpu(device)? {
         Some(gpu) => case::run_op(&gpu, op, inputs, false)?,
         None => op.reference(&inputs.iter().collect::<Vec<_>>())?,

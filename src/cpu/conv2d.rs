@@ -19,9 +19,9 @@ pub struct ConvShape {
 impl ConvShape {
     /// Output length for `input` pixels and `kernel` taps; `None` if the kernel does not fit.
     pub fn output(&self, input: usize, kernel: usize) -> Option<usize> {
-        let span = self.dilation * (kernel - 1) + 1;
-        let free = (input + 2 * self.padding).checked_sub(span)?;
-        Some(free / self.stride + 1)
+        let span = self.dilation.checked_mul(kernel.checked_sub(1)?)?.checked_add(1)?;
+        let padded = self.padding.checked_mul(2)?.checked_add(input)?;
+        Some(padded.checked_sub(span)? / self.stride + 1)
     }
 
     /// Outputs whose tap `k` lies inside `input` pixels.

@@ -80,6 +80,8 @@ pub struct Gpu {
     info: wgpu::AdapterInfo,
     options: GpuOptions,
     lost: Arc<Mutex<Option<String>>>,
+    /// An error that no scope caught; without a handler it would end the process.
+    uncaptured: Arc<Mutex<Option<String>>>,
     modules: Mutex<HashMap<&'static str, Arc<Module>>>,
     pipelines: Mutex<HashMap<PipelineKey, Arc<Pipeline>>>,
 }
@@ -183,12 +185,18 @@ impl Gpu {
             let mut latch = latch.lock().unwrap_or_else(PoisonError::into_inner);
             latch.get_or_insert(format!("{reason:?}: {message}"));
         });
+        let uncaptured = Arc::new(Mutex::new(None));
+        let latch = uncaptured.clone();
+        device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| {
+            latch.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(e.to_string());
+        }));
         Ok(Arc::new(Self {
             device,
             queue,
             info,
             options,
             lost,
+            uncaptured,
             modules: Mutex::default(),
             pipelines: Mutex::default(),
         }))
@@ -216,10 +224,14 @@ impl Gpu {
     }
 
     /// # Errors
-    /// [`Error::DeviceLost`] once the driver has reported the loss.
+    /// [`Error::DeviceLost`] once the driver has reported the loss; [`Error::Driver`], once, for an
+    /// error that no scope caught.
     pub(super) fn check_lost(&self) -> Result<()> {
-        match &*self.lost.lock().unwrap_or_else(PoisonError::into_inner) {
-            Some(message) => Err(Error::DeviceLost(message.clone())),
+        if let Some(message) = &*self.lost.lock().unwrap_or_else(PoisonError::into_inner) {
+            return Err(Error::DeviceLost(message.clone()));
+        }
+        match self.uncaptured.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            Some(message) => Err(Error::Driver { stage: "the device".into(), message }),
             None => Ok(()),
         }
     }
@@ -234,7 +246,9 @@ impl Gpu {
         let internal = self.device.push_error_scope(wgpu::ErrorFilter::Internal);
         let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
         let result = work();
-        let errors = [validation.pop().await, internal.pop().await, memory.pop().await];
+        // All three leave the stack before the first wait: the guards are not `Send`.
+        let pops = (validation.pop(), internal.pop(), memory.pop());
+        let errors = [pops.0.await, pops.1.await, pops.2.await];
         self.check_lost()?;
         match errors.into_iter().flatten().next() {
             Some(e) => Err(Error::Driver { stage: stage.into(), message: e.to_string() }),

@@ -9,7 +9,7 @@ use crate::error::{Error, Result};
 use crate::gpu::arena;
 use crate::gpu::context::{Gpu, Pipeline};
 use crate::gpu::readback;
-use crate::gpu::recording::{Dispatch, Grid, Recording, Role, TensorId};
+use crate::gpu::recording::{Dispatch, Grid, Recording, Role, TensorId, TensorInfo};
 use crate::gpu::shader::BindingKind;
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
@@ -17,7 +17,7 @@ use crate::tensor::Value;
 /// Uniform bindings start at multiples of this under `wgpu::Limits::default()`.
 const UNIFORM_ALIGN: usize = 256;
 /// Bytes behind each tensor that no shader may touch, where `PlanOptions::guard` is set.
-const GUARD_BYTES: u64 = 256;
+const GUARD_BYTES: u64 = 4 * 64;
 /// What guarded buffers are filled with before a run: a float NaN, and no plausible integer.
 pub const POISON: u32 = 0x7fc0_dead;
 
@@ -26,8 +26,8 @@ pub const POISON: u32 = 0x7fc0_dead;
 pub struct PlanOptions {
     /// Let tensors whose lifetimes do not overlap share a buffer.
     pub reuse: bool,
-    /// For tests: fill every computed tensor with NaN before each run, put sentinels behind it,
-    /// and fail if one changed.
+    /// For tests: fill every computed tensor with NaN before each run and put NaN behind every
+    /// tensor, which shows in the results where a shader reads it; fail if one was written.
     pub guard: bool,
     /// Time each stage on the device, where it can.
     pub profile: bool,
@@ -85,7 +85,7 @@ pub struct Plan {
     buffers: Vec<wgpu::Buffer>,
     slot: Vec<Option<usize>>,
     /// Tensors the host writes before each run.
-    inputs: HashMap<TensorId, TensorSpec>,
+    inputs: HashMap<TensorId, TensorInfo>,
     /// Buffers that dispatches write, to be poisoned in guarded plans.
     computed: Vec<(usize, Vec<u8>)>,
     outputs: Vec<Output>,
@@ -152,10 +152,15 @@ impl Plan {
         for (index, info) in recording.tensors().iter().enumerate() {
             let Some(at) = slot[index] else { continue };
             let buffer = &buffers[at];
+            let by_host = matches!(info.role, Role::Constant(_) | Role::Input);
+            if options.guard && by_host {
+                let end = buffer.size() - guard;
+                gpu.queue.write_buffer(buffer, end, bytemuck::cast_slice(&[POISON; 64]));
+            }
             match &info.role {
                 Role::Constant(value) => gpu.queue.write_buffer(buffer, 0, value.bytes()),
                 Role::Input => {
-                    inputs.insert(TensorId(index), info.spec.clone());
+                    inputs.insert(TensorId(index), info.clone());
                 }
                 Role::Transient | Role::Output => {
                     if options.guard {
@@ -297,11 +302,11 @@ impl Plan {
     pub fn run(&mut self, inputs: &[(TensorId, &Value)]) -> Result<RunOutput> {
         let start = Instant::now();
         self.gpu.check_lost()?;
-        for (id, spec) in &self.inputs {
+        for (id, info) in &self.inputs {
             let given = inputs.iter().find(|(i, _)| i == id).map(|(_, v)| v.spec());
-            if given.as_ref() != Some(spec) {
+            if given.as_ref() != Some(&info.spec) {
                 let got = given.map_or("nothing".into(), |s| s.to_string());
-                return Err(Error::tensor("run", &format!("input {}", id.0), spec, got));
+                return Err(Error::tensor("run", &info.name, &info.spec, got));
             }
         }
         for (id, value) in inputs {

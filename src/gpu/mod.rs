@@ -12,7 +12,7 @@ mod shader;
 
 pub use context::{AdapterChoice, AdapterReport, Gpu, GpuOptions, adapters};
 pub use executor::{POISON, Plan, PlanOptions, RunOutput, StageTime};
-pub use recording::{Dispatch, Grid, Recording, Role, Stage, TensorId, TensorInfo};
+pub use recording::{Dispatch, Grid, MAX_WORKGROUPS, Recording, Role, Stage, TensorId, TensorInfo};
 pub(crate) use shader::shader_params;
 pub use shader::{EntryReflection, Reflection};
 pub use shader::{ParamLayout, Shader, reflect};

@@ -11,6 +11,13 @@ use crate::gpu::context::Gpu;
 /// [`Error::DeviceLost`], [`Error::Timeout`] past the device's time limit, or [`Error::Driver`] if
 /// the map is refused.
 pub(super) fn read(gpu: &Gpu, staging: &wgpu::Buffer, bytes: u64, stage: &str) -> Result<Vec<u8>> {
+    let result = wait(gpu, staging, bytes, stage);
+    // Also after an error: a map that is still pending would make every later submit fail.
+    staging.unmap();
+    result
+}
+
+fn wait(gpu: &Gpu, staging: &wgpu::Buffer, bytes: u64, stage: &str) -> Result<Vec<u8>> {
     let (sender, receiver) = mpsc::channel();
     let slice = staging.slice(..bytes);
     slice.map_async(wgpu::MapMode::Read, move |result| {
@@ -29,13 +36,14 @@ pub(super) fn read(gpu: &Gpu, staging: &wgpu::Buffer, bytes: u64, stage: &str) -
     })?;
     match receiver.try_recv() {
         Ok(Ok(())) => {}
-        // A lost device shows here first where its callback has not run yet.
-        Ok(Err(e)) => return Err(Error::DeviceLost(e.to_string())),
+        Ok(Err(e)) => {
+            // A lost device refuses the map; its callback runs in the next poll.
+            let _ = gpu.device.poll(wgpu::PollType::Poll);
+            gpu.check_lost()?;
+            return Err(refused(e.to_string()));
+        }
         Err(_) => return Err(timed_out()),
     }
     let mapped = slice.get_mapped_range().map_err(|e| refused(e.to_string()))?;
-    let result = mapped.to_vec();
-    drop(mapped);
-    staging.unmap();
-    Ok(result)
+    Ok(mapped.to_vec())
 }

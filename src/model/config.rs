@@ -2,6 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Largest input: conv1's output, 64 channels at half the size, must fit a binding of 128 MiB.
+const MAX_INPUT: usize = 1440;
+/// Most classes: 100 proposals in each must fit the 1024 boxes of one non-maximum suppression.
+const MAX_CLASSES: usize = 10;
+
 /// Configuration of a network, kept as JSON under `config` in the weight file's metadata.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelConfig {
@@ -19,8 +24,12 @@ pub struct ModelConfig {
     pub anchor_sizes: Vec<f32>,
     /// Anchor ratios, height over width.
     pub anchor_ratios: Vec<f32>,
-    /// Millimetres on the gel for one pixel of the sensor's picture.
+    /// Millimetres on the gel for one pixel of the sensor's picture, `picture_size` pixels wide.
     pub mm_per_pixel: f32,
+    /// Side of the sensor's square picture in pixels.
+    pub picture_size: u32,
+    /// Pixels of the network's input for one cell of the map that the RPN sees.
+    pub stride: usize,
     /// Reduction of the channel attention's hidden layer.
     pub reduction: usize,
     /// Which of the paper's modules the network has.
@@ -54,18 +63,29 @@ impl ModelConfig {
         if self.format != 1 {
             return Err(format!("config: format: expected 1, got {}", self.format));
         }
-        if !self.input_size.is_multiple_of(32) || !(32..=2048).contains(&self.input_size) {
+        if !self.input_size.is_multiple_of(32) || !(32..=MAX_INPUT).contains(&self.input_size) {
             let got = self.input_size;
             return Err(format!(
-                "config: input_size: expected a multiple of 32 from 32 to 2048, got {got}"
+                "config: input_size: expected a multiple of 32 from 32 to {MAX_INPUT}, got {got}"
             ));
+        }
+        let stride = if self.variant.msff { 8 } else { 16 };
+        if self.stride != stride {
+            let got = self.stride;
+            return Err(format!("config: stride: expected {stride} for the variant, got {got}"));
         }
         if !finite(&self.std) || !self.mean.iter().all(|m| m.is_finite()) {
             return Err("config: mean and std: expected finite values, std above 0".into());
         }
-        if self.classes.is_empty() || self.classes.len() > 31 {
+        if self.classes.is_empty() || self.classes.len() > MAX_CLASSES {
             let got = self.classes.len();
-            return Err(format!("config: classes: expected 1 to 31 names, got {got}"));
+            return Err(format!("config: classes: expected 1 to {MAX_CLASSES} names, got {got}"));
+        }
+        let names: std::collections::BTreeSet<_> =
+            self.classes.iter().map(|c| c.to_lowercase()).collect();
+        if names.len() != self.classes.len() || names.contains("") {
+            let got = self.classes.join(", ");
+            return Err(format!("config: classes: expected different names, got {got}"));
         }
         for (name, list) in
             [("anchor_sizes", &self.anchor_sizes), ("anchor_ratios", &self.anchor_ratios)]
@@ -74,15 +94,16 @@ impl ModelConfig {
                 return Err(format!("config: {name}: expected positive numbers, got {list:?}"));
             }
         }
-        if !finite(&[self.mm_per_pixel]) || self.reduction == 0 {
-            return Err("config: mm_per_pixel and reduction: expected above 0".into());
+        if !finite(&[self.mm_per_pixel]) || self.reduction == 0 || self.picture_size == 0 {
+            return Err("config: mm_per_pixel, picture_size, reduction: expected above 0".into());
         }
         Ok(())
     }
 
-    /// Pixels of the network's input for one cell of the map that the RPN sees.
-    pub fn stride(&self) -> usize {
-        if self.variant.msff { 8 } else { 16 }
+    /// Millimetres on the gel for one pixel of a picture whose largest centred square has `side`
+    /// pixels: the square shows the same gel at any resolution.
+    pub fn mm_per_pixel_of(&self, side: u32) -> f32 {
+        self.mm_per_pixel * self.picture_size as f32 / side as f32
     }
 
     /// Anchors of one cell, `(x1, y1, x2, y2)` round the origin, in torchvision's order (ratios
@@ -116,6 +137,8 @@ mod tests {
             anchor_sizes: vec![32.0, 64.0],
             anchor_ratios: vec![0.5, 1.0],
             mm_per_pixel: 0.04,
+            picture_size: 1000,
+            stride: 8,
             reduction: 16,
             variant: Variant { safe: true, msff: true, rw: true },
         };

@@ -40,8 +40,17 @@ pub struct Network {
     pub count: TensorId,
     /// Output: how many proposals the RoI head saw, `[1]`.
     pub proposal_count: TensorId,
-    /// Outputs that hold a value that is not finite if any stage made one.
-    pub witnesses: Vec<TensorId>,
+    /// Outputs of the heads, by which a value that is not finite is noticed.
+    pub witnesses: Vec<Witness>,
+}
+
+/// An output in which to look for values that are not finite.
+#[derive(Clone, Copy, Debug)]
+pub struct Witness {
+    /// The output.
+    pub tensor: TensorId,
+    /// Whether it has a row a proposal, defined for those that there are.
+    pub by_proposal: bool,
 }
 
 impl Network {
@@ -66,11 +75,14 @@ impl Network {
         let proposals = rpn::rpn(&mut graph, &mut weights, fused)?;
         let head = roi_head::roi_head(&mut graph, &mut weights, fused, proposals, thresholds)?;
         weights.finish()?;
-        let mut witnesses = vec![proposals.logits];
-        witnesses.extend(scales);
+        let maps = proposals.maps.into_iter().chain(scales);
+        let witnesses: Vec<_> = maps
+            .map(|tensor| Witness { tensor, by_proposal: false })
+            .chain(head.rows.map(|tensor| Witness { tensor, by_proposal: true }))
+            .collect();
         let outputs = [head.boxes, head.scores, head.classes, head.count, proposals.count];
-        for id in outputs.iter().chain(&witnesses) {
-            graph.mark_output(*id);
+        for id in outputs.into_iter().chain(witnesses.iter().map(|w| w.tensor)) {
+            graph.mark_output(id);
         }
         Ok(Self {
             graph,

@@ -43,6 +43,8 @@ pub(super) struct Head {
     pub classes: TensorId,
     /// `[1]`.
     pub count: TensorId,
+    /// Class probabilities and box deltas, a row a proposal.
+    pub rows: [TensorId; 2],
 }
 
 /// Appends the RoI head on the fused map.
@@ -58,7 +60,7 @@ pub(super) fn roi_head(
     let classes = config.classes.len() + 1;
     let count = proposals.count;
     let align = RoiAlign {
-        spatial_scale: 1.0 / config.stride() as f32,
+        spatial_scale: 1.0 / config.stride as f32,
         output_size: POOLED,
         sampling_ratio: SAMPLING,
         count: true,
@@ -97,11 +99,11 @@ pub(super) fn roi_head(
     let kept = graph.apply("roi_head.nms", nms, &[boxes, scores, labels, total])?;
     let mut gather =
         |name: &str, rows| graph.apply1(name, GatherRows {}, &[rows, kept[0], kept[1]]);
-    let boxes = gather("detection_boxes", boxes)?;
-    let scores = gather("detection_scores", scores)?;
-    let classes = gather("detection_classes", labels)?;
-    graph.rename(kept[1], "detection_count");
-    Ok(Head { boxes, scores, classes, count: kept[1] })
+    let boxes = gather("detections.boxes", boxes)?;
+    let scores = gather("detections.scores", scores)?;
+    let classes = gather("detections.labels", labels)?;
+    graph.rename(kept[1], "detections.count");
+    Ok(Head { boxes, scores, classes, count: kept[1], rows: [probabilities, deltas] })
 }
 
 fn linear(

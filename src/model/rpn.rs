@@ -25,8 +25,8 @@ const MIN_SIZE: f32 = 1e-3;
 pub(super) struct Proposals {
     pub boxes: TensorId,
     pub count: TensorId,
-    /// Objectness logits of the candidates before NMS.
-    pub logits: TensorId,
+    /// Objectness logits and box deltas of every anchor, `[A, H, W]` and `[4A, H, W]`.
+    pub maps: [TensorId; 2],
 }
 
 /// Appends the RPN on the fused map.
@@ -42,7 +42,7 @@ pub(super) fn rpn(graph: &mut Graph, weights: &mut Weights, fused: TensorId) -> 
     graph.begin_stage("proposals");
     let best = graph.apply("rpn.top_k", TopK { k: BEFORE_NMS, count: false }, &[scores])?;
     let (logits, indices, count) = (best[0], best[1], best[2]);
-    let decode = DecodeProposals { anchors, stride: config.stride(), width: size, height: size };
+    let decode = DecodeProposals { anchors, stride: config.stride, width: size, height: size };
     let decoded = graph.apply("rpn.decode", decode, &[deltas, logits, indices, count])?;
     let nms = Nms {
         iou_threshold: IOU,
@@ -56,5 +56,5 @@ pub(super) fn rpn(graph: &mut Graph, weights: &mut Weights, fused: TensorId) -> 
     let boxes = graph.apply1("proposals", GatherRows {}, &[decoded[0], kept[0], kept[1]])?;
     graph.apply1("proposal_scores", GatherRows {}, &[decoded[1], kept[0], kept[1]])?;
     graph.rename(kept[1], "proposal_count");
-    Ok(Proposals { boxes, count: kept[1], logits })
+    Ok(Proposals { boxes, count: kept[1], maps: [scores, deltas] })
 }

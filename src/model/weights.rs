@@ -100,11 +100,11 @@ impl Weights {
     /// head, which sees boxes.
     ///
     /// # Errors
-    /// [`Error::Param`] if `input_size` is not a multiple of 32 from 32 to 2048.
+    /// [`Error::Param`] if `input_size` is not a multiple of 32 from 32 to 1440.
     pub fn with_input_size(mut self, input_size: usize) -> Result<Self> {
         self.config.input_size = input_size;
         self.config.check().map_err(|_| {
-            Error::param("weights", "input_size", "a multiple of 32 from 32 to 2048", input_size)
+            Error::param("weights", "input_size", "a multiple of 32 from 32 to 1440", input_size)
         })?;
         Ok(self)
     }

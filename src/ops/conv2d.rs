@@ -2,7 +2,7 @@
 
 use crate::cpu::{self, ConvShape};
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::gpu::{Dispatch, Grid, MAX_WORKGROUPS, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, random};
 use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect, expect_inputs};
 use crate::ops::params::Params as Named;
@@ -33,6 +33,8 @@ static SHADER: Shader =
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry { name: "conv2d", shader: &SHADER, build, cases };
 
+/// Largest stride, dilation and padding: far past any use, and safe in the shader's u32 arithmetic.
+const MAX_PARAM: usize = 4096;
 /// Output channels that one workgroup computes.
 const CHANNELS: usize = 64;
 /// Output pixels that one workgroup computes.
@@ -96,9 +98,14 @@ impl Op for Conv2d {
     fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         expect_inputs(self, inputs.len())?;
         let name = self.name();
-        for (param, value) in [("stride", self.stride), ("dilation", self.dilation)] {
-            if value == 0 {
-                return Err(Error::param(name, param, "at least 1", value));
+        for (param, value, least) in [
+            ("stride", self.stride, 1),
+            ("dilation", self.dilation, 1),
+            ("padding", self.padding, 0),
+        ] {
+            if !(least..=MAX_PARAM).contains(&value) {
+                let expected = format!("{least} to {MAX_PARAM}");
+                return Err(Error::param(name, param, expected, value));
             }
         }
         let (input, weight, bias, residual) = self.split(inputs);
@@ -144,6 +151,14 @@ impl Op for Conv2d {
         );
         let weight = recording.constant(format!("{name} (packed)"), packed);
         let bias = recording.constant(format!("{name} (bias)"), padded);
+        let tiles = (out_h * out_w).div_ceil(PIXELS as u32);
+        if tiles > MAX_WORKGROUPS {
+            return Err(Error::Capacity {
+                what: "conv2d: workgroups of 64 pixels".into(),
+                needed: tiles.into(),
+                available: MAX_WORKGROUPS.into(),
+            });
+        }
         let params = Params {
             in_channels: in_c,
             in_height: in_h,
@@ -172,11 +187,7 @@ impl Op for Conv2d {
                 ("residual", *residual.unwrap_or(&input)),
                 ("output", outputs[0]),
             ],
-            grid: Grid::Workgroups([
-                (out_h * out_w).div_ceil(PIXELS as u32),
-                out_c.div_ceil(CHANNELS as u32),
-                1,
-            ]),
+            grid: Grid::Workgroups([tiles, out_c.div_ceil(CHANNELS as u32), 1]),
         });
         Ok(())
     }

@@ -62,8 +62,8 @@ impl Op for MaxPool2d {
         expect_inputs(self, inputs.len())?;
         let name = self.name();
         for (param, value) in [("kernel", self.kernel), ("stride", self.stride)] {
-            if value == 0 {
-                return Err(Error::param(name, param, "at least 1", value));
+            if !(1..=4096).contains(&value) {
+                return Err(Error::param(name, param, "1 to 4096", value));
             }
         }
         if self.padding > self.kernel / 2 {

@@ -110,6 +110,11 @@ impl Op for Nms {
         if !(0.0..=1.0).contains(&self.iou_threshold) {
             return Err(Error::param(name, "iou_threshold", "0 to 1", self.iou_threshold));
         }
+        for (param, value) in [("min_score", self.min_score), ("min_size", self.min_size)] {
+            if value.is_nan() {
+                return Err(Error::param(name, param, "a number", value));
+            }
+        }
         let [n, sides] = dims(name, "boxes", &inputs[0], DType::F32)?;
         if sides != 4 || n == 0 {
             let expected = "f32 [N, 4] with N above 0";

@@ -76,8 +76,8 @@ impl Op for RoiAlign {
         let name = self.name();
         let sizes = [("output_size", self.output_size), ("sampling_ratio", self.sampling_ratio)];
         for (param, value) in sizes {
-            if value == 0 {
-                return Err(Error::param(name, param, "at least 1", value));
+            if !(1..=256).contains(&value) {
+                return Err(Error::param(name, param, "1 to 256", value));
             }
         }
         let [c, h, w] = dims(name, "features", &inputs[0], DType::F32)?;

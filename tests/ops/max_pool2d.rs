@@ -14,9 +14,9 @@ fn refuses_what_does_not_fit() {
         refusal(&op, &[TensorSpec::f32([1, 4, 9])])
     };
     let message = with(0, 1, 0);
-    assert!(message.contains("`kernel`: expected at least 1, got 0"), "{message}");
+    assert!(message.contains("`kernel`: expected 1 to 4096, got 0"), "{message}");
     let message = with(2, 0, 0);
-    assert!(message.contains("`stride`: expected at least 1, got 0"), "{message}");
+    assert!(message.contains("`stride`: expected 1 to 4096, got 0"), "{message}");
     // Such a window could lie in the padding alone.
     let message = with(3, 2, 2);
     assert!(message.contains("`padding`: expected at most half the kernel (1)"), "{message}");

@@ -1,9 +1,9 @@
 // 2-D convolution with bias, optional residual and ReLU, on [C, H, W].
 //
-// One invocation computes 8 output channels at 8 pixels and keeps its 64 sums in registers: 16 loads
-// for 64 multiply-adds. The 64 invocations of a workgroup are 8 groups of pixels by 8 groups of
-// channels. The taps are the outer loops, so whether a pixel lies in the padding is decided once a
-// tap, not once a channel.
+// One invocation computes 8 output channels at 8 pixels and keeps the 64 sums of a tap in registers:
+// 16 loads for 64 multiply-adds. The 64 invocations of a workgroup are 8 groups of pixels by 8 groups
+// of channels. The taps are the outer loops, so whether a pixel lies in the padding is decided once
+// a tap, not once a channel.
 
 // include: relu
 
@@ -87,28 +87,30 @@ fn main(
     let in_area = params.in_height * params.in_width;
     let weight_stride = ((params.out_channels + 63u) / 64u) * 16u;
 
-    var n0 = vec4<f32>(0.0);
-    var f0 = vec4<f32>(0.0);
-    var n1 = vec4<f32>(0.0);
-    var f1 = vec4<f32>(0.0);
-    var n2 = vec4<f32>(0.0);
-    var f2 = vec4<f32>(0.0);
-    var n3 = vec4<f32>(0.0);
-    var f3 = vec4<f32>(0.0);
-    var n4 = vec4<f32>(0.0);
-    var f4 = vec4<f32>(0.0);
-    var n5 = vec4<f32>(0.0);
-    var f5 = vec4<f32>(0.0);
-    var n6 = vec4<f32>(0.0);
-    var f6 = vec4<f32>(0.0);
-    var n7 = vec4<f32>(0.0);
-    var f7 = vec4<f32>(0.0);
-
+    var near_sums = array<vec4<f32>, 8>();
+    var far_sums = array<vec4<f32>, 8>();
     var weight_at = channel / 4u;
     for (var ky = 0u; ky < params.kernel_height; ky++) {
         for (var kx = 0u; kx < params.kernel_width; kx++) {
             let tap_near = tap(near, ky, kx);
             let tap_far = tap(far, ky, kx);
+            // Each tap sums for itself: shorter sums lose fewer digits.
+            var n0 = vec4<f32>(0.0);
+            var f0 = vec4<f32>(0.0);
+            var n1 = vec4<f32>(0.0);
+            var f1 = vec4<f32>(0.0);
+            var n2 = vec4<f32>(0.0);
+            var f2 = vec4<f32>(0.0);
+            var n3 = vec4<f32>(0.0);
+            var f3 = vec4<f32>(0.0);
+            var n4 = vec4<f32>(0.0);
+            var f4 = vec4<f32>(0.0);
+            var n5 = vec4<f32>(0.0);
+            var f5 = vec4<f32>(0.0);
+            var n6 = vec4<f32>(0.0);
+            var f6 = vec4<f32>(0.0);
+            var n7 = vec4<f32>(0.0);
+            var f7 = vec4<f32>(0.0);
             var offset = 0u;
             for (var c = 0u; c < params.in_channels; c++) {
                 let n = load(tap_near, offset);
@@ -134,10 +136,24 @@ fn main(
                 offset += in_area;
                 weight_at += weight_stride;
             }
+            near_sums[0] += n0;
+            far_sums[0] += f0;
+            near_sums[1] += n1;
+            far_sums[1] += f1;
+            near_sums[2] += n2;
+            far_sums[2] += f2;
+            near_sums[3] += n3;
+            far_sums[3] += f3;
+            near_sums[4] += n4;
+            far_sums[4] += f4;
+            near_sums[5] += n5;
+            far_sums[5] += f5;
+            near_sums[6] += n6;
+            far_sums[6] += f6;
+            near_sums[7] += n7;
+            far_sums[7] += f7;
         }
     }
-    var near_sums = array(n0, n1, n2, n3, n4, n5, n6, n7);
-    var far_sums = array(f0, f1, f2, f3, f4, f5, f6, f7);
     for (var c = 0u; c < 8u; c++) {
         store(near, channel + c, near_sums[c]);
         store(far, channel + c, far_sums[c]);

@@ -10,6 +10,7 @@ use image::DynamicImage;
 use crate::error::{Error, Result};
 use crate::gpu::{AdapterChoice, Gpu, GpuOptions, Plan, PlanOptions, StageTime, TensorId};
 use crate::model::{ModelConfig, Network, Thresholds, Weights};
+use crate::ops::Crop;
 use crate::tensor::{Tensor, Value};
 
 /// Pixels for which a detector makes room at first: the sensor's 1000 × 1000. It grows when a
@@ -275,18 +276,17 @@ impl GpuDetector {
             let message = format!("expected at least 1 × 1 pixel, got {width} × {height}");
             return Err(Error::Picture { file: "picture".into(), message });
         }
-        let side = width.min(height);
-        let (x0, y0) = ((width - side) / 2, (height - side) / 2);
-        let mut engine = self.engine.lock().unwrap_or_else(PoisonError::into_inner);
-        self.make_room(&mut engine, width as usize * height as usize)?;
         let rgba = picture.to_rgba8();
         let mut pixels: Vec<u32> = bytemuck::pod_collect_to_vec(rgba.as_raw());
+        let crop = Crop::central(width as usize, height as usize);
+        let mut engine = self.engine.lock().unwrap_or_else(PoisonError::into_inner);
+        self.make_room(&mut engine, width as usize * height as usize)?;
         pixels.resize(engine.capacity, 0);
         let pixels = Value::from(Tensor::new([engine.capacity], pixels)?);
-        let crop = Value::from(Tensor::new([5], vec![width, height, x0, y0, side])?);
+        let square = Value::from(crop.to_tensor(engine.capacity)?);
         let keep = if self.config.keep_stages { engine.network.graph.computed() } else { vec![] };
         let Engine { network, runner, .. } = &mut *engine;
-        let inputs = [(network.picture, &pixels), (network.crop, &crop)];
+        let inputs = [(network.picture, &pixels), (network.crop, &square)];
         let (mut values, times) = match runner {
             Runner::Cpu => network.graph.reference(&inputs, &keep)?,
             Runner::Gpu { plan, .. } => {
@@ -295,9 +295,9 @@ impl GpuDetector {
             }
         };
         check_finite(network, &values)?;
-        let scale = side as f32 / network.config.input_size as f32;
-        let mm_per_pixel = network.config.mm_per_pixel_of(side);
-        let origin = [x0 as f32, y0 as f32];
+        let scale = crop.side as f32 / network.config.input_size as f32;
+        let mm_per_pixel = network.config.mm_per_pixel_of(crop.side as u32);
+        let origin = [crop.x as f32, crop.y as f32];
         let place = Place { scale, mm_per_pixel, origin, width, height };
         let detections = Detections {
             detections: collect(network, &values, place)?,

@@ -23,12 +23,7 @@ struct Params {
 
 // include: boxes
 // include: index
-
-// Without an exponential that could overflow.
-fn sigmoid(x: f32) -> f32 {
-    let small = exp(-abs(x));
-    return select(small, 1.0, x >= 0.0) / (1.0 + small);
-}
+// include: sigmoid
 
 @compute @workgroup_size(64)
 fn main(

@@ -406,11 +406,6 @@ impl Plan {
             })
             .collect()
     }
-
-    /// Bytes of device memory that the plan's tensors take.
-    pub fn device_bytes(&self) -> u64 {
-        self.buffers.iter().map(wgpu::Buffer::size).sum()
-    }
 }
 
 fn bound(dispatch: &Dispatch, name: &str) -> Result<TensorId> {

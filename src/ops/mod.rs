@@ -32,6 +32,7 @@ mod top_k;
 mod upsample_bilinear;
 mod weighted_sum;
 
+pub use crate::cpu::Crop;
 pub use apply_gates::ApplyGates;
 pub use case::{Case, Report, check};
 pub use channel_gate::ChannelGate;

@@ -17,19 +17,23 @@ from torch import Tensor
 CLASSES = ("A", "B")
 
 
-def load_picture(path: Path, size: int) -> tuple[Tensor, float, tuple[int, int]]:
-    """The square centre crop resized to [3, size, size] (0 to 255, float32), picture pixels a pixel, and the crop's corner.
+def load_picture(path: Path, size: int, dtype: torch.dtype = torch.float32) -> tuple[Tensor, float, tuple[int, int]]:
+    """The square centre crop resized to [3, size, size] (0 to 255), picture pixels a pixel, and the crop's corner.
 
     The resize is bilinear with antialiasing (a triangle filter as wide as the
     scale, as Pillow's) from float values, without rounding afterwards.
     """
     with Image.open(path) as image:
-        pixels = np.asarray(image.convert("RGB"))
+        return resize_square(np.asarray(image.convert("RGB")), size, dtype)
+
+
+def resize_square(pixels: np.ndarray, size: int, dtype: torch.dtype = torch.float32) -> tuple[Tensor, float, tuple[int, int]]:
+    """As `load_picture`, from a picture [H, W, 3] in uint8."""
     height, width = pixels.shape[:2]
     side = min(height, width)
     left, top = (width - side) // 2, (height - side) // 2
     square = torch.from_numpy(pixels[top : top + side, left : left + side].copy())
-    square = square.permute(2, 0, 1)[None].float()
+    square = square.permute(2, 0, 1)[None].to(dtype)
     resized = F.interpolate(square, (size, size), mode="bilinear", antialias=True, align_corners=False)[0]
     return resized, side / size, (left, top)
 

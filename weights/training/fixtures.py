@@ -29,9 +29,9 @@ def main() -> None:
     model = weightfile.load(args.weights, torch.float64)
     config = model.config
     size = args.size or config.input_size
-    pixels, scale, corner = load_picture(args.picture, size)
+    pixels, scale, corner = load_picture(args.picture, size, torch.float64)
     stages: dict[str, torch.Tensor] = {}
-    image = normalise(pixels.double(), config.mean, config.std)[None].contiguous(memory_format=torch.channels_last)
+    image = normalise(pixels, config.mean, config.std)[None].contiguous(memory_format=torch.channels_last)
     detections = model.detect(image, stages)[0]
     if not config.variant.safe:
         stages = {k: v for k, v in stages.items() if not k.startswith("backbone.cbam")}

@@ -1,4 +1,4 @@
-"""Trains SMR-Net from scratch: first on crops at the final scale, then on whole pictures with a falling rate.
+"""Trains SMR-Net, from scratch or from a weight file: first on crops at the final scale, then on whole pictures with a falling rate.
 
 A step depends only on the seed, its number, the plan (how many steps each phase
 has) and the folders at hand. So a killed run goes on from its checkpoint to the
@@ -24,12 +24,13 @@ import numpy as np
 import torch
 from torch import nn
 
+import weightfile
 from data import Chunk, batch_at, normalise
 from losses import detection_losses
 from metrics import detect_folder, figures
 from model import Config, SmrNet, Variant
 
-CROP_SHARE = 0.62  # of --minutes
+CROP_SHARE = 0.5  # of --minutes
 WARMUP = 150  # steps
 EMA_EVERY, EMA_DECAY = 4, 0.998
 
@@ -71,6 +72,7 @@ class Run:
         self.file = args.out / "checkpoint.pt"
         self.chunks: list[Chunk] = []
         state = torch.load(self.file, map_location=self.device, weights_only=True) if self.file.exists() else None
+        init = weightfile.load(args.init) if args.init and state is None else None
         if state is None:
             self.step, self.seconds, self.seen = 0, 0.0, 0
             self.plan = {"crop": args.crop_steps, "full": [[0, args.full_steps]] if args.full_steps else [], "data": []}
@@ -82,17 +84,10 @@ class Run:
                 self.log("waiting for a complete training folder")
                 time.sleep(10)
                 self.find_chunks()
-            pixels = np.concatenate([c.pictures for c in self.chunks]).reshape(-1, 3)[::97].astype(np.float64) / 255
-            sizes, ratios = choose_anchors(self.chunks[0])
-            self.config = Config(
-                input_size=args.size,
-                mean=[round(v, 4) for v in pixels.mean(axis=0).tolist()],
-                std=[round(v, 4) for v in pixels.std(axis=0).tolist()],
-                anchor_sizes=sizes,
-                anchor_ratios=ratios,
-                variant=Variant(safe=not args.no_safe, msff=not args.no_msff, rw=not args.no_rw),
-            )
-            self.config.picture_size = int(round(self.chunks[0].geometry[0, 0] * args.size))
+            # A weight file brings its own configuration: its tensors have no other meaning.
+            self.config = init.config if init else self.measure_config()
+            if self.config.input_size != args.size:
+                raise SystemExit(f"{args.init}: made for pictures of {self.config.input_size}, not --size {args.size}")
         else:
             self.step, self.seconds, self.seen, self.timeline = state["step"], state["seconds"], state["seen"], state["timeline"]
             self.plan = state["plan"]
@@ -110,11 +105,28 @@ class Run:
         groups = [{"params": decay, "weight_decay": args.weight_decay}, {"params": plain, "weight_decay": 0.0}]
         self.optimizer = torch.optim.AdamW(groups, args.lr, betas=(0.9, 0.99), fused=True)
         if state is None:
+            if init:
+                self.model.load_state_dict(init.state_dict())
             self.ema.load_state_dict(self.model.state_dict())
         else:
             self.model.load_state_dict(state["model"])
             self.ema.load_state_dict(state["ema"])
             self.optimizer.load_state_dict(state["optimizer"])
+
+    def measure_config(self) -> Config:
+        """A new network's configuration, from the arguments and the pictures at hand."""
+        args = self.args
+        pixels = np.concatenate([c.pictures for c in self.chunks]).reshape(-1, 3)[::97].astype(np.float64) / 255
+        sizes, ratios = choose_anchors(self.chunks[0])
+        return Config(
+            input_size=args.size,
+            mean=[round(v, 4) for v in pixels.mean(axis=0).tolist()],
+            std=[round(v, 4) for v in pixels.std(axis=0).tolist()],
+            anchor_sizes=sizes,
+            anchor_ratios=ratios,
+            variant=Variant(safe=not args.no_safe, msff=not args.no_msff, rw=not args.no_rw),
+            picture_size=int(round(self.chunks[0].geometry[0, 0] * args.size)),
+        )
 
     def find_chunks(self) -> None:
         """Takes up folders that were finished since the last look."""
@@ -221,6 +233,7 @@ def main() -> None:
     parser.add_argument("--val", type=Path, help="COCO folder that chooses nothing but is reported")
     parser.add_argument("--val-pictures", type=int, default=100)
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--init", type=Path, help="weight file to start from, with its configuration; by default from scratch")
     parser.add_argument("--cache", type=Path)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--minutes", type=float, help="length of the whole run, earlier calls included")
@@ -243,6 +256,8 @@ def main() -> None:
     by_minutes = args.plan is None and args.full_steps is None
     if args.minutes is None and (by_minutes or args.plan is None and args.crop_steps is None):
         parser.error("give --minutes, or --plan, or both --crop-steps and --full-steps")
+    if args.init and (args.no_safe or args.no_msff or args.no_rw):
+        parser.error("--init brings its own variant")
     args.cache = args.cache or args.out / "cache"
     args.out.mkdir(parents=True, exist_ok=True)
     keep_memory()

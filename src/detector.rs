@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use image::DynamicImage;
 
+use crate::comparison::{StageComparison, stage_errors};
 use crate::error::{Error, Result};
 use crate::gpu::{AdapterChoice, Gpu, GpuOptions, Plan, PlanOptions, StageTime, TensorId};
 use crate::model::{ModelConfig, Network, Thresholds, Weights};
@@ -16,6 +17,8 @@ use crate::tensor::{Tensor, Value};
 /// Pixels for which a detector makes room at first: the sensor's 1000 × 1000. It grows when a
 /// larger picture comes.
 const FIRST_CAPACITY: usize = 1000 * 1000;
+/// Pixels of the largest picture: as RGBA8 they fill the 128 MiB that every device can bind.
+pub const MAX_PIXELS: usize = (128 << 20) / 4;
 /// Most detections a picture may have.
 const MAX_DETECTIONS: usize = 100;
 
@@ -83,8 +86,6 @@ pub struct Config {
     pub checked: bool,
     /// Keep every stage's tensor, for [`GpuDetector::detect_with_stages`]; takes more memory.
     pub keep_stages: bool,
-    /// Let tensors whose lifetimes do not overlap share memory.
-    pub reuse_buffers: bool,
 }
 
 impl Config {
@@ -101,7 +102,6 @@ impl Config {
             timeout: GpuOptions::default().timeout,
             checked: false,
             keep_stages: false,
-            reuse_buffers: true,
         }
     }
 
@@ -164,6 +164,33 @@ pub struct Detections {
     pub stages: Vec<StageTime>,
     /// Time from picture to detections.
     pub wall: Duration,
+}
+
+/// What one picture gives on a device and in the f64 reference.
+#[derive(Clone, Debug)]
+pub struct Comparison {
+    /// The network's stages, in order.
+    pub stages: Vec<StageComparison>,
+    /// What the device found.
+    pub found: Detections,
+    /// What the reference found.
+    pub expected: Detections,
+}
+
+impl Comparison {
+    /// The largest difference of two scores, and of two box corners in pixels of the picture;
+    /// `None` unless both found the same classes in the same order.
+    pub fn differences(&self) -> Option<(f32, f32)> {
+        let (found, expected) = (&self.found.detections, &self.expected.detections);
+        let pairs = || found.iter().zip(expected);
+        if found.len() != expected.len() || pairs().any(|(a, b)| a.class != b.class) {
+            return None;
+        }
+        let corners = pairs().flat_map(|(a, b)| a.bbox.into_iter().zip(b.bbox));
+        let largest = |d: f32, (a, b): (f32, f32)| d.max((a - b).abs());
+        let scores = pairs().map(|(a, b)| (a.score, b.score));
+        Some((scores.fold(0.0, largest), corners.fold(0.0, largest)))
+    }
 }
 
 /// Tensors of every stage, by the PyTorch reference's names.
@@ -255,38 +282,72 @@ impl GpuDetector {
     /// largest binding, [`Error::DeviceLost`], [`Error::Timeout`] or [`Error::Driver`] from the
     /// device, [`Error::NotFinite`] if the network overflowed.
     pub fn detect(&self, picture: &DynamicImage) -> Result<Detections> {
-        Ok(self.run(picture, false)?.0)
+        let frame = Frame::new(picture)?;
+        let mut engine = self.engine.lock().unwrap_or_else(PoisonError::into_inner);
+        Ok(self.look(&mut engine, &frame)?.1)
     }
 
-    /// [`GpuDetector::detect`], with the tensor of every stage. Needs `Config::keep_stages`.
+    /// [`GpuDetector::detect`], with the tensor of every stage, cut to the rows that a count made
+    /// valid. Needs `Config::keep_stages`.
     ///
     /// # Errors
     /// As [`GpuDetector::detect`]; [`Error::Param`] without `keep_stages`.
     pub fn detect_with_stages(&self, picture: &DynamicImage) -> Result<(Detections, Stages)> {
-        if !self.config.keep_stages {
-            return Err(Error::param("detect", "keep_stages", true, false));
-        }
-        self.run(picture, true)
+        self.check_keeps_stages()?;
+        let frame = Frame::new(picture)?;
+        let mut engine = self.engine.lock().unwrap_or_else(PoisonError::into_inner);
+        let (mut values, detections) = self.look(&mut engine, &frame)?;
+        let graph = &engine.network.graph;
+        let named = |id: TensorId| Some((graph.name(id).to_owned(), values.remove(&id)?));
+        Ok((detections, graph.computed().into_iter().filter_map(named).collect()))
     }
 
-    fn run(&self, picture: &DynamicImage, stages: bool) -> Result<(Detections, Stages)> {
-        let start = Instant::now();
-        let (width, height) = (picture.width(), picture.height());
-        if width == 0 || height == 0 {
-            let message = format!("expected at least 1 × 1 pixel, got {width} × {height}");
-            return Err(Error::Picture { file: "picture".into(), message });
+    /// Looks at a picture on the device and with the f64 reference, and compares every stage. Needs
+    /// `Config::keep_stages`.
+    ///
+    /// # Errors
+    /// As [`GpuDetector::detect`]; [`Error::Param`] without `keep_stages` or a GPU.
+    pub fn compare(&self, picture: &DynamicImage) -> Result<Comparison> {
+        if self.config.device == Device::Cpu {
+            return Err(Error::param("compare", "device", "a GPU", "the CPU reference itself"));
         }
-        let rgba = picture.to_rgba8();
-        let mut pixels: Vec<u32> = bytemuck::pod_collect_to_vec(rgba.as_raw());
-        let crop = Crop::central(width as usize, height as usize);
+        self.check_keeps_stages()?;
+        let frame = Frame::new(picture)?;
         let mut engine = self.engine.lock().unwrap_or_else(PoisonError::into_inner);
-        self.make_room(&mut engine, width as usize * height as usize)?;
-        pixels.resize(engine.capacity, 0);
-        let pixels = Value::from(Tensor::new([engine.capacity], pixels)?);
-        let square = Value::from(crop.to_tensor(engine.capacity)?);
-        let keep = if self.config.keep_stages { engine.network.graph.computed() } else { vec![] };
-        let Engine { network, runner, .. } = &mut *engine;
-        let inputs = [(network.picture, &pixels), (network.crop, &square)];
+        let (got, found) = self.look(&mut engine, &frame)?;
+        let Engine { network, .. } = &*engine;
+        let frame = Frame { start: Instant::now(), ..frame };
+        let keep = network.graph.computed();
+        let inputs = frame.inputs(network);
+        let (mut want, times) = network.graph.reference(&inputs, &keep)?;
+        network.graph.truncate(&inputs, &mut want);
+        let expected = frame.detections(network, &want, times)?;
+        let errors = stage_errors(network, &got, &want)?;
+        let time = |stage: &str| found.stages.iter().find(|t| t.stage == stage).map(|t| t.time);
+        let stages = expected.stages.iter().zip(errors);
+        let stages = stages.map(|(reference, tensors)| StageComparison {
+            stage: reference.stage.clone(),
+            time: time(&reference.stage),
+            reference_time: reference.time,
+            tensors,
+        });
+        Ok(Comparison { stages: stages.collect(), found, expected })
+    }
+
+    fn check_keeps_stages(&self) -> Result<()> {
+        match self.config.keep_stages {
+            true => Ok(()),
+            false => Err(Error::param("detect", "keep_stages", true, false)),
+        }
+    }
+
+    /// Runs the network. The values are the outputs, or with `keep_stages` those of every stage, cut
+    /// to their valid rows.
+    fn look(&self, engine: &mut Engine, frame: &Frame) -> Result<(Values, Detections)> {
+        self.make_room(engine, frame.width as usize * frame.height as usize)?;
+        let Engine { network, runner, .. } = engine;
+        let keep = if self.config.keep_stages { network.graph.computed() } else { vec![] };
+        let inputs = frame.inputs(network);
         let (mut values, times) = match runner {
             Runner::Cpu => network.graph.reference(&inputs, &keep)?,
             Runner::Gpu { plan, .. } => {
@@ -294,41 +355,27 @@ impl GpuDetector {
                 (run.values, run.stages)
             }
         };
-        check_finite(network, &values)?;
-        let scale = crop.side as f32 / network.config.input_size as f32;
-        let mm_per_pixel = network.config.mm_per_pixel_of(crop.side as u32);
-        let origin = [crop.x as f32, crop.y as f32];
-        let place = Place { scale, mm_per_pixel, origin, width, height };
-        let detections = Detections {
-            detections: collect(network, &values, place)?,
-            width,
-            height,
-            proposals: count_of(network, &values, network.proposal_count)?,
-            stages: times,
-            wall: start.elapsed(),
-        };
-        let named = match stages {
-            false => Vec::new(),
-            true => keep
-                .iter()
-                .filter_map(|id| Some((network.graph.name(*id).to_owned(), values.remove(id)?)))
-                .collect(),
-        };
-        Ok((detections, named))
+        if self.config.keep_stages {
+            network.graph.truncate(&inputs, &mut values);
+        }
+        let detections = frame.detections(network, &values, times)?;
+        Ok((values, detections))
     }
 
-    /// Rebuilds the plan for pictures of at least `pixels` pixels.
+    /// Rebuilds the plan for pictures of at least `pixels` pixels: for twice as many as it had, so
+    /// that growing pictures rebuild it a few times and no more.
     fn make_room(&self, engine: &mut Engine, pixels: usize) -> Result<()> {
         if pixels <= engine.capacity {
             return Ok(());
         }
+        let capacity = pixels.max((2 * engine.capacity).min(MAX_PIXELS));
         let thresholds = self.config.thresholds(&self.model)?;
-        let network = Network::new(engine.weights.clone(), pixels, thresholds)?;
+        let network = Network::new(engine.weights.clone(), capacity, thresholds)?;
         if let Runner::Gpu { gpu, plan: old } = &mut engine.runner {
             **old = pollster::block_on(plan(gpu, &network, &self.config))?;
         }
         engine.network = network;
-        engine.capacity = pixels;
+        engine.capacity = capacity;
         Ok(())
     }
 }
@@ -336,66 +383,104 @@ impl GpuDetector {
 async fn plan(gpu: &Arc<Gpu>, network: &Network, config: &Config) -> Result<Plan> {
     let keep = if config.keep_stages { network.graph.computed() } else { Vec::new() };
     let recording = network.graph.record(&keep)?;
-    let options = PlanOptions { reuse: config.reuse_buffers, guard: false, profile: true };
-    Plan::new(gpu, &recording, options).await
+    Plan::new(gpu, &recording, PlanOptions::default()).await
 }
 
-/// Where the network's square lies in the picture.
-#[derive(Clone, Copy)]
-struct Place {
-    scale: f32,
-    mm_per_pixel: f32,
-    origin: [f32; 2],
+/// The values of a run.
+type Values = HashMap<TensorId, Value>;
+
+/// A picture as the network takes it, and where its square lies.
+struct Frame {
+    start: Instant,
     width: u32,
     height: u32,
+    crop: Crop,
+    pixels: Value,
+    square: Value,
 }
 
-fn value<'a>(
-    network: &Network,
-    values: &'a HashMap<TensorId, Value>,
-    id: TensorId,
-) -> Result<&'a Value> {
+impl Frame {
+    /// # Errors
+    /// [`Error::Picture`] for an empty picture.
+    fn new(picture: &DynamicImage) -> Result<Self> {
+        let start = Instant::now();
+        let (width, height) = (picture.width(), picture.height());
+        if width == 0 || height == 0 {
+            let message = format!("expected at least 1 × 1 pixel, got {width} × {height}");
+            return Err(Error::Picture { file: "picture".into(), message });
+        }
+        let rgba = picture.to_rgba8();
+        let pixels: Vec<u32> = bytemuck::pod_collect_to_vec(rgba.as_raw());
+        let crop = Crop::central(width as usize, height as usize);
+        let square = crop.to_tensor(pixels.len())?.into();
+        let pixels = Tensor::new([pixels.len()], pixels)?.into();
+        Ok(Self { start, width, height, crop, pixels, square })
+    }
+
+    fn inputs(&self, network: &Network) -> [(TensorId, &Value); 2] {
+        [(network.picture, &self.pixels), (network.crop, &self.square)]
+    }
+
+    /// What the network's outputs say of the picture.
+    fn detections(
+        &self,
+        network: &Network,
+        values: &Values,
+        stages: Vec<StageTime>,
+    ) -> Result<Detections> {
+        check_finite(network, values)?;
+        Ok(Detections {
+            detections: self.collect(network, values)?,
+            width: self.width,
+            height: self.height,
+            proposals: count_of(network, values, network.proposal_count)?,
+            stages,
+            wall: self.start.elapsed(),
+        })
+    }
+
+    fn collect(&self, network: &Network, values: &Values) -> Result<Vec<Detection>> {
+        let boxes = value(network, values, network.boxes)?.f32()?;
+        let scores = value(network, values, network.scores)?.f32()?;
+        let classes = value(network, values, network.classes)?.u32()?;
+        let count = count_of(network, values, network.count)? as usize;
+        let config = &network.config;
+        let scale = self.crop.side as f32 / config.input_size as f32;
+        let origin = [self.crop.x as f32, self.crop.y as f32];
+        let middle = [self.width as f32 / 2.0, self.height as f32 / 2.0];
+        let mm_per_pixel = config.mm_per_pixel_of(self.crop.side as u32);
+        let rows = boxes.data().chunks_exact(4).zip(scores.data()).zip(classes.data());
+        rows.take(count)
+            .map(|((b, score), class)| {
+                let bbox = std::array::from_fn(|i| b[i] * scale + origin[i % 2]);
+                let center = |i: usize| (bbox[i] + bbox[i + 2]) / 2.0 - middle[i];
+                let name = config.classes.get((*class as usize).wrapping_sub(1));
+                let name = name.ok_or_else(|| {
+                    Error::tensor("detect", "detections.labels", "a class of the weights", class)
+                })?;
+                Ok(Detection {
+                    class: name.clone(),
+                    score: *score,
+                    bbox,
+                    center_mm: [0, 1].map(|i| center(i) * mm_per_pixel),
+                })
+            })
+            .collect()
+    }
+}
+
+fn value<'a>(network: &Network, values: &'a Values, id: TensorId) -> Result<&'a Value> {
     let name = network.graph.name(id);
     values.get(&id).ok_or_else(|| Error::tensor("detect", name, "an output", "nothing"))
 }
 
-fn count_of(network: &Network, values: &HashMap<TensorId, Value>, id: TensorId) -> Result<u32> {
+fn count_of(network: &Network, values: &Values, id: TensorId) -> Result<u32> {
     Ok(value(network, values, id)?.u32()?.data().first().copied().unwrap_or(0))
-}
-
-fn collect(
-    network: &Network,
-    values: &HashMap<TensorId, Value>,
-    place: Place,
-) -> Result<Vec<Detection>> {
-    let boxes = value(network, values, network.boxes)?.f32()?;
-    let scores = value(network, values, network.scores)?.f32()?;
-    let classes = value(network, values, network.classes)?.u32()?;
-    let count = count_of(network, values, network.count)? as usize;
-    let config = &network.config;
-    let middle = [place.width as f32 / 2.0, place.height as f32 / 2.0];
-    let rows = boxes.data().chunks_exact(4).zip(scores.data()).zip(classes.data());
-    rows.take(count)
-        .map(|((b, score), class)| {
-            let bbox = std::array::from_fn(|i| b[i] * place.scale + place.origin[i % 2]);
-            let center = |i: usize| (bbox[i] + bbox[i + 2]) / 2.0 - middle[i];
-            let name = config.classes.get((*class as usize).wrapping_sub(1));
-            let name = name.ok_or_else(|| {
-                Error::tensor("detect", "detections.labels", "a class of the weights", class)
-            })?;
-            Ok(Detection {
-                class: name.clone(),
-                score: *score,
-                bbox,
-                center_mm: [0, 1].map(|i| center(i) * place.mm_per_pixel),
-            })
-        })
-        .collect()
 }
 
 /// Looks for values that are not finite in what each head gave: NaN stays NaN from where it arises
 /// to these, while comparisons behind them would only drop it.
-fn check_finite(network: &Network, values: &HashMap<TensorId, Value>) -> Result<()> {
+fn check_finite(network: &Network, values: &Values) -> Result<()> {
     let proposals = count_of(network, values, network.proposal_count)? as usize;
     for witness in &network.witnesses {
         let tensor = value(network, values, witness.tensor)?.f32()?;

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use crate::error::{Error, Result};
 use crate::gpu::{Recording, Role, StageTime, TensorId};
 use crate::ops::Op;
-use crate::shape::TensorSpec;
+use crate::shape::{Extent, TensorSpec};
 use crate::tensor::Value;
 
 /// One operation with what it reads and writes.
@@ -31,7 +31,7 @@ struct GraphTensor {
 
 #[derive(Debug)]
 enum Source {
-    Input,
+    Input(Extent),
     Constant(Arc<Value>),
     Computed,
 }
@@ -51,9 +51,9 @@ impl Graph {
         TensorId(self.tensors.len() - 1)
     }
 
-    /// A tensor that the host gives for each run.
-    pub fn input(&mut self, name: &str, spec: TensorSpec) -> TensorId {
-        self.push(name, spec, Source::Input)
+    /// A tensor that the host gives for each run, as much of it as `extent` says.
+    pub fn input(&mut self, name: &str, spec: TensorSpec, extent: Extent) -> TensorId {
+        self.push(name, spec, Source::Input(extent))
     }
 
     /// A tensor that is known now, such as weights.
@@ -147,7 +147,7 @@ impl Graph {
         let mut recording = Recording::default();
         for tensor in &self.tensors {
             let role = match &tensor.source {
-                Source::Input => Role::Input,
+                Source::Input(extent) => Role::Input(*extent),
                 Source::Constant(value) => Role::Constant(value.clone()),
                 Source::Computed => Role::Transient,
             };
@@ -172,22 +172,15 @@ impl Graph {
         inputs: &[(TensorId, &Value)],
         keep: &[TensorId],
     ) -> Result<(HashMap<TensorId, Value>, Vec<StageTime>)> {
-        let mut values: HashMap<TensorId, Value> = HashMap::new();
         for (index, tensor) in self.tensors.iter().enumerate() {
-            if !matches!(tensor.source, Source::Input) {
-                continue;
-            }
-            let given = inputs.iter().find(|(id, _)| id.0 == index);
-            match given {
-                Some((id, value)) if value.spec() == tensor.spec => {
-                    values.insert(*id, (*value).clone());
-                }
-                _ => {
-                    let got = given.map_or("nothing".into(), |(_, v)| v.spec().to_string());
-                    return Err(Error::tensor("reference", &tensor.name, &tensor.spec, got));
-                }
+            let Source::Input(extent) = tensor.source else { continue };
+            let given = inputs.iter().find(|(id, _)| id.0 == index).map(|(_, v)| v.spec());
+            if !given.as_ref().is_some_and(|given| extent.admits(&tensor.spec, given)) {
+                let got = given.map_or("nothing".into(), |s| s.to_string());
+                return Err(Error::tensor("reference", &tensor.name, &tensor.spec, got));
             }
         }
+        let mut values: HashMap<TensorId, Value> = HashMap::new();
         let mut last_use = vec![0; self.tensors.len()];
         for (step, node) in self.nodes.iter().enumerate() {
             for id in &node.inputs {
@@ -204,11 +197,7 @@ impl Graph {
             let start = Instant::now();
             let mut read = Vec::with_capacity(node.inputs.len());
             for id in &node.inputs {
-                let constant = match &self.tensors[id.0].source {
-                    Source::Constant(value) => Some(value.as_ref()),
-                    _ => values.get(id),
-                };
-                read.push(constant.ok_or_else(|| {
+                read.push(self.value(*id, inputs, &values).ok_or_else(|| {
                     Error::tensor(node.op.name(), self.name(*id), "a value", "nothing yet")
                 })?);
             }
@@ -225,6 +214,52 @@ impl Graph {
         }
         values.retain(|id, _| wanted(id));
         Ok((values, times))
+    }
+
+    /// A tensor's value in a run: known now, given, or computed so far.
+    fn value<'a>(
+        &'a self,
+        id: TensorId,
+        inputs: &[(TensorId, &'a Value)],
+        computed: &'a HashMap<TensorId, Value>,
+    ) -> Option<&'a Value> {
+        match &self.tensors[id.0].source {
+            Source::Constant(value) => Some(value),
+            Source::Input(_) => inputs.iter().find(|(i, _)| *i == id).map(|(_, v)| *v),
+            Source::Computed => computed.get(&id),
+        }
+    }
+
+    /// Cuts the `values` of a run to the rows that counts of that run made valid. A tensor stays whole
+    /// where `values` does not hold all that its operation reads and writes.
+    pub fn truncate(&self, inputs: &[(TensorId, &Value)], values: &mut HashMap<TensorId, Value>) {
+        let mut valid = Vec::new();
+        for node in &self.nodes {
+            let value = |id: &TensorId| self.value(*id, inputs, values);
+            let read: Option<Vec<&Value>> = node.inputs.iter().map(value).collect();
+            let wrote: Option<Vec<&Value>> = node.outputs.iter().map(value).collect();
+            let (Some(read), Some(wrote)) = (read, wrote) else { continue };
+            for (id, elements) in node.outputs.iter().zip(node.op.defined(&wrote, &read)) {
+                let row: usize = self.spec(*id).shape.0.iter().skip(1).product();
+                valid.push((*id, elements / row.max(1)));
+            }
+        }
+        for (id, rows) in valid {
+            if let Some(value) = values.get_mut(&id) {
+                value.truncate(rows);
+            }
+        }
+    }
+
+    /// The names of the stages, in order.
+    pub fn stages(&self) -> &[String] {
+        &self.stages
+    }
+
+    /// The tensors that a stage computes, by its place in [`Graph::stages`], in order.
+    pub fn computed_in(&self, stage: usize) -> impl Iterator<Item = TensorId> {
+        let nodes = self.nodes.iter().filter(move |n| n.stage == stage);
+        nodes.flat_map(|n| n.outputs.iter().copied())
     }
 
     /// Every tensor that a node computes, in order.

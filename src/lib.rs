@@ -27,6 +27,7 @@
 //! | [`ops`] | each operation: parameters, shape check, dispatches, error bound, cases |
 //! | [`graph`] | operations over named tensors, recorded for the GPU or walked on the CPU |
 //! | [`model`] | SMR-Net's stages, its configuration and its weights |
+//! | [`comparison`] | the whole network on a device, stage by stage, against the f64 reference |
 //! | [`detector`] | [`GpuDetector`] |
 //! | [`sensor`] | the simulated sensor: gel, contact, optics, camera, snaps |
 //! | [`metrics`] | intersection over union, average precision, centre error |
@@ -42,6 +43,7 @@
 //! does not publish.
 #![warn(missing_docs)]
 
+pub mod comparison;
 pub mod cpu;
 pub mod detector;
 pub mod error;
@@ -54,7 +56,7 @@ pub mod sensor;
 pub mod shape;
 pub mod tensor;
 
-pub use detector::{Config, Detection, Detections, Device, GpuDetector, WeightSource};
+pub use detector::{Comparison, Config, Detection, Detections, Device, GpuDetector, WeightSource};
 pub use error::{Error, Result};
 
 /// The README's example runs as a test.

@@ -47,6 +47,12 @@ impl PictureBoxes {
         self.truths.iter().map(best_of).collect()
     }
 
+    /// The same with the found boxes that have a score above `score` alone.
+    pub fn above(&self, score: f64) -> Self {
+        let found = self.found.iter().filter(|f| f.score > score).copied().collect();
+        Self { truths: self.truths.clone(), found }
+    }
+
     /// The found boxes' scores, best first, each with whether it takes a truth: as in the COCO
     /// evaluation, each takes the free truth that it overlaps most, by at least `iou`.
     fn hits(&self, iou: f64) -> Vec<(f64, bool)> {

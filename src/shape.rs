@@ -74,8 +74,51 @@ impl TensorSpec {
     }
 }
 
+/// How much of an input each run must give.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Extent {
+    /// All of it.
+    Exact,
+    /// At most its first dimension: a run may give fewer rows, and what lies behind them is
+    /// undefined.
+    UpTo,
+}
+
+impl Extent {
+    /// Whether a tensor of `given` can be the input recorded as `spec`.
+    pub fn admits(self, spec: &TensorSpec, given: &TensorSpec) -> bool {
+        let fits = match (self, spec.shape.0.split_first(), given.shape.0.split_first()) {
+            (Self::UpTo, Some((most, rest)), Some((rows, given))) => rows <= most && rest == given,
+            _ => spec.shape == given.shape,
+        };
+        fits && spec.dtype == given.dtype
+    }
+}
+
 impl fmt::Display for TensorSpec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}{}", self.dtype, self.shape)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_an_up_to_input_may_have_fewer_rows() {
+        let spec = TensorSpec::u32([4, 3]);
+        let cases = [
+            (TensorSpec::u32([4, 3]), true, true),
+            (TensorSpec::u32([2, 3]), false, true),
+            (TensorSpec::u32([5, 3]), false, false),
+            (TensorSpec::u32([4, 2]), false, false),
+            (TensorSpec::u32([12]), false, false),
+            (TensorSpec::f32([4, 3]), false, false),
+        ];
+        for (given, exact, up_to) in cases {
+            assert_eq!(Extent::Exact.admits(&spec, &given), exact, "{given}");
+            assert_eq!(Extent::UpTo.admits(&spec, &given), up_to, "{given}");
+        }
     }
 }

@@ -56,6 +56,13 @@ impl<T: Copy + Default> Tensor<T> {
         &mut self.data
     }
 
+    /// Cuts the tensor to its first `rows` rows, if it has more.
+    pub fn truncate(&mut self, rows: usize) {
+        let Some((all, row)) = self.shape.0.split_first_mut() else { return };
+        *all = rows.min(*all);
+        self.data.truncate(*all * row.iter().product::<usize>());
+    }
+
     /// The values alone.
     pub fn into_data(self) -> Vec<T> {
         self.data
@@ -77,6 +84,14 @@ impl Value {
         match self {
             Self::F32(t) => TensorSpec { shape: t.shape.clone(), dtype: DType::F32 },
             Self::U32(t) => TensorSpec { shape: t.shape.clone(), dtype: DType::U32 },
+        }
+    }
+
+    /// As [`Tensor::truncate`].
+    pub fn truncate(&mut self, rows: usize) {
+        match self {
+            Self::F32(t) => t.truncate(rows),
+            Self::U32(t) => t.truncate(rows),
         }
     }
 

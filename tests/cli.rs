@@ -108,6 +108,8 @@ fn wrong_command_lines_are_usage_errors() {
         (&["detect", "x.png", "--conf", "NaN"], "expected a number from 0 to 1"),
         (&["detect", "x.png", "--iou", "inf"], "expected a number from 0 to 1"),
         (&["detect", "x.png", "--iou", "half"], "expected a number from 0 to 1"),
+        (&["detect", "x.png", "--timeout", "NaN"], "expected a number of seconds"),
+        (&["detect", "x.png", "--timeout=-1"], "expected a number of seconds"),
         (&["detect", "x.png", "--max-det", "0"], "1..=100"),
         (&["detect", "x.png", "--max-det", "101"], "1..=100"),
         (&["detect", "x.png", "--class", "C"], "expected A, B, got `C`"),
@@ -118,6 +120,7 @@ fn wrong_command_lines_are_usage_errors() {
         (&["op", "conv2d", "in", "out", "--param", "a=1", "--param", "a=2"], "each key once"),
         (&["op", "nope", "in", "out"], "got `nope`"),
         (&["check", "nope"], "got `nope`"),
+        (&["eval", "--data", ".", "--limit", "0"], "--limit"),
         (&["check", "--device", "cpu"], "expected a GPU"),
     ];
     for (arguments, phrase) in cases {
@@ -216,6 +219,14 @@ fn missing_devices_are_named() {
     run_without_adapter(folder.path(), &["check"]).expect(4).tells("none was found");
     let ran = run_without_adapter(folder.path(), &["devices"]).expect(4);
     assert_eq!(ran.tells("mesa-vulkan-drivers").stdout, "");
+}
+
+#[test]
+fn a_device_that_takes_too_long_is_told_from_a_bad_picture() {
+    let folder = folder();
+    ramp(40, 30).save(folder.path().join("ramp.png")).expect("a picture");
+    let ran = run(folder.path(), &["detect", "ramp.png", "--timeout", "0"]).expect(5);
+    ran.tells("did not finish the network within 0 s");
 }
 
 #[test]
@@ -415,12 +426,30 @@ fn shaders_are_checked_on_the_users_machine() {
 }
 
 #[test]
+fn the_network_is_held_to_its_reference_on_a_picture() {
+    let folder = folder();
+    let sample = concat!(env!("CARGO_MANIFEST_DIR"), "/samples/mixed.png");
+    // A small input, for speed.
+    let ran = run(folder.path(), &["compare", sample, "--size", "96"]).expect(0);
+    let stages = ["input", "backbone.conv1", "fusion", "rpn", "roi_head", "detections"];
+    for stage in stages {
+        assert!(ran.stdout.lines().any(|l| l.starts_with(stage)), "no {stage} in\n{}", ran.stdout);
+    }
+    assert!(ran.stdout.contains("scores within"), "{}", ran.stdout);
+    run(folder.path(), &["compare", sample, "--device", "cpu"]).expect(2).tells("expected a GPU");
+    run(folder.path(), &["compare", sample, "--size", "100"]).expect(2).tells("multiple of 32");
+    run(folder.path(), &["compare", "none.png"]).expect(1).tells("none.png");
+}
+
+#[test]
 fn evaluation_counts_misses_and_names_unreadable_pictures() {
     let folder = folder();
     fs::create_dir(folder.path().join("images")).expect("created");
     ramp(80, 80).save(folder.path().join("images/0.png")).expect("saved");
     let labels = serde_json::json!({
-        "categories": [{"id": 1, "name": "a"}, {"id": 2, "name": "b"}],
+        // The third is in no annotation, as some tools write one.
+        "categories":
+            [{"id": 1, "name": "a"}, {"id": 2, "name": "b"}, {"id": 0, "name": "snaps"}],
         "images": [
             {"id": 7, "file_name": "0.png", "width": 80, "height": 80},
             {"id": 8, "file_name": "gone.png", "width": 80, "height": 80}
@@ -447,6 +476,32 @@ fn evaluation_counts_misses_and_names_unreadable_pictures() {
     fs::write(&file, renamed).expect("written");
     run(folder.path(), &arguments).expect(1).tells("got `screw`");
     run(folder.path(), &["eval", "--data", "nowhere"]).expect(1).tells("nowhere");
+}
+
+#[cfg(unix)]
+#[test]
+fn no_input_is_overwritten() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name);
+    fs::create_dir(path("links")).expect("created");
+    ramp(8, 8).save(path("soft.png")).expect("saved");
+    let original = fs::read(path("soft.png")).expect("the picture");
+    fs::write(path("hard.png"), &original).expect("written");
+    std::os::unix::fs::symlink(path("soft.png"), path("links/soft.png")).expect("linked");
+    fs::hard_link(path("hard.png"), path("links/hard.png")).expect("linked");
+    run(folder.path(), &["detect", "links/soft.png", "hard.png", "--save", "links"]).expect(0);
+    for name in ["soft.png", "hard.png", "links/soft.png"] {
+        assert_eq!(fs::read(path(name)).expect("a picture"), original, "{name}");
+    }
+    assert!(path("links/soft-2.png").exists());
+    let ran = run(folder.path(), &["detect", "soft.png", "--dump-stages", "links/soft.png"]);
+    ran.expect(2).tells("is the picture itself");
+    assert_eq!(fs::read(path("soft.png")).expect("a picture"), original);
+
+    fs::write(path("annotations.json"), "mine").expect("written");
+    run(folder.path(), &["simulate", "--out", ".", "--count", "1", "--seed", "1"])
+        .tells("another program");
+    assert_eq!(fs::read(path("annotations.json")).expect("kept"), b"mine");
 }
 
 #[test]

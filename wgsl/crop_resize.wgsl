@@ -1,5 +1,8 @@
 // A square crop of a packed RGBA8 picture, resized to size x size and normalised, as [3, size, size].
 //
+// The mean is subtracted in two parts: a whole number of levels from each pixel, which is exact, and
+// the rest at the end. So a picture near its mean loses no digits to the subtraction.
+//
 // The filter is a triangle, widened where the picture shrinks. Distances are counted in
 // 1 / (2 size) of a picture's pixel: pixel j has its centre at (2j + 1) size, output i at
 // (2i + 1) side, and the triangle reaches 2 max(side, size). All are integers, so that each weight
@@ -10,9 +13,12 @@
 struct Params {
     size: u32,
     capacity: u32,
-    mean_r: f32,
-    mean_g: f32,
-    mean_b: f32,
+    shift_r: f32,
+    shift_g: f32,
+    shift_b: f32,
+    rest_r: f32,
+    rest_g: f32,
+    rest_b: f32,
     std_r: f32,
     std_g: f32,
     std_b: f32,
@@ -75,6 +81,7 @@ fn main(
     let y = pixel / params.size;
     let rows = taps(y, side);
     let columns = taps(pixel - y * params.size, side);
+    let shift = vec3<f32>(params.shift_r, params.shift_g, params.shift_b);
     var total = vec3<f32>(0.0);
     for (var j = rows.first; j < rows.end; j++) {
         let start = (crop[3] + j) * width + crop[2];
@@ -83,14 +90,14 @@ fn main(
             // Nor is anything read outside the picture's buffer, whatever the corner says.
             let packed = picture[min(start + i, params.capacity - 1u)];
             let rgb = vec3<u32>(packed & 255u, (packed >> 8u) & 255u, (packed >> 16u) & 255u);
-            row = fma(vec3<f32>(weight(columns, i)), vec3<f32>(rgb), row);
+            row = fma(vec3<f32>(weight(columns, i)), vec3<f32>(rgb) - shift, row);
         }
         total = fma(vec3<f32>(weight(rows, j)), row, total);
     }
     let value = total / (total_weight(rows) * total_weight(columns) * 255.0);
-    let mean = vec3<f32>(params.mean_r, params.mean_g, params.mean_b);
+    let rest = vec3<f32>(params.rest_r, params.rest_g, params.rest_b);
     let deviation = vec3<f32>(params.std_r, params.std_g, params.std_b);
-    let normal = (value - mean) / deviation;
+    let normal = (value - rest) / deviation;
     output[pixel] = normal.x;
     output[area + pixel] = normal.y;
     output[2u * area + pixel] = normal.z;

@@ -1,5 +1,6 @@
-// The largest value in each window, on [C, H, W]. Windows are cut at the picture's edges, which is
-// the same as padding with minus infinity; none is empty as padding is at most half the kernel.
+// The largest value in each window, or a NaN that is in it, on [C, H, W]. Windows are cut at the
+// picture's edges, which is the same as padding with minus infinity; none is empty as padding is at
+// most half the kernel.
 
 // include: index
 
@@ -27,6 +28,11 @@ fn window(i: u32, length: u32) -> vec2<u32> {
     );
 }
 
+// By its bits: WGSL lets a compiler assume that a comparison sees no NaN.
+fn is_nan(x: f32) -> bool {
+    return (bitcast<u32>(x) & 0x7fffffffu) > 0x7f800000u;
+}
+
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
@@ -45,7 +51,8 @@ fn main(
     var largest = input[plane + rows.x * params.in_width + columns.x];
     for (var y = rows.x; y < rows.y; y++) {
         for (var x = columns.x; x < columns.y; x++) {
-            largest = max(largest, input[plane + y * params.in_width + x]);
+            let value = input[plane + y * params.in_width + x];
+            largest = select(largest, value, value > largest || is_nan(value));
         }
     }
     output[index] = largest;

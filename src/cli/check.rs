@@ -1,11 +1,10 @@
 //! `smr-gpu check`: holds a device's operations to their references.
 
-use smr_gpu::Device;
 use smr_gpu::gpu::{Gpu, GpuOptions};
 use smr_gpu::ops::{self, Entry};
 use std::sync::Arc;
 
-use super::detector::DeviceArgs;
+use super::detector::{DeviceArgs, gpu_only};
 use super::exit::{Exit, Failure, exit_of};
 use super::output::{line, tell};
 
@@ -32,10 +31,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         let known = known.join(", ");
         return Err(Failure::usage(format!("operation: expected one of {known}; got `{name}`")));
     }
-    let Device::Gpu(adapter) = args.device.device else {
-        let message = "--device: expected a GPU to hold to the CPU's reference, got `cpu`";
-        return Err(Failure::usage(message));
-    };
+    let adapter = gpu_only(&args.device.device)?.clone();
     let options = GpuOptions { adapter, ..GpuOptions::default() };
     let gpu = pollster::block_on(Gpu::open(options))?;
     tell(format!("{} ({})", gpu.info().name, gpu.info().backend));

@@ -10,7 +10,7 @@ use smr_gpu::{Detections, GpuDetector};
 
 use super::detector::{self, DetectorArgs, fraction};
 use super::draw::{Artist, Gallery};
-use super::exit::{Exit, Failure, exit_of};
+use super::exit::{Exit, Failure};
 use super::output::{json_line, line, tell};
 use super::source::{Source, expand};
 use super::{picture, tensors};
@@ -47,7 +47,8 @@ pub(super) struct Args {
     #[arg(long = "class", value_name = "NAME")]
     classes: Vec<String>,
 
-    /// Write every stage's tensor, under the PyTorch model's names; for one picture.
+    /// Write every stage's tensor, under the PyTorch model's names; for one picture. A tensor inside
+    /// a stage has the name of the layer that made it, after batch norm, residual and ReLU.
     #[arg(long, value_name = "FILE.safetensors")]
     dump_stages: Option<PathBuf>,
 
@@ -109,6 +110,13 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     if sources.is_empty() {
         return Ok(exit);
     }
+    if let (Some(file), [Source::File(source)]) = (&args.dump_stages, &sources[..]) {
+        let [dump, picture] = [file, source].map(|path| path.canonicalize().ok());
+        if dump.is_some() && dump == picture {
+            let file = file.display();
+            return Err(Failure::usage(format!("--dump-stages: {file} is the picture itself")));
+        }
+    }
     let mut config = args.detector.config()?;
     config.score = args.conf;
     config.max_detections = args.max_det.into();
@@ -141,7 +149,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
                 exit = Exit::Inputs;
                 continue;
             }
-            Err(failure) => return Err(failure),
+            Err(failure) => return Err(failure.told()),
         };
         match args.json {
             true => json_line(&record(source, &found, detector.adapter()))?,
@@ -172,7 +180,7 @@ fn look(
     picture: &DynamicImage,
     args: &Args,
 ) -> Result<Detections, Failure> {
-    let named = |e: smr_gpu::Error| Failure::new(exit_of(&e), format!("{source}: {e}"));
+    let named = |e| Failure::about(source, &e);
     let Some(file) = &args.dump_stages else {
         return detector.detect(picture).map_err(named);
     };

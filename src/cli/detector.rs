@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions};
 use smr_gpu::{Config, Device, Error, GpuDetector};
@@ -36,8 +37,26 @@ pub(super) struct DetectorArgs {
     #[arg(long, default_value_t = 0.5, value_name = "IOU", value_parser = fraction)]
     iou: f32,
 
+    /// Side of the network's input in pixels, a multiple of 32 [default: the weight file's]. Weights
+    /// know snaps of one size in pixels: the further off, the fewer they find.
+    #[arg(long, value_name = "PIXELS")]
+    size: Option<usize>,
+
+    /// Longest wait for one picture on a GPU, in seconds.
+    #[arg(long, default_value = "120", value_name = "SECONDS", value_parser = seconds)]
+    timeout: Duration,
+
     #[command(flatten)]
     device: DeviceArgs,
+}
+
+/// Parses a time of at least 0 s.
+///
+/// # Errors
+/// In words, also for NaN.
+fn seconds(text: &str) -> Result<Duration, String> {
+    let expected = || "expected a number of seconds".to_owned();
+    Duration::try_from_secs_f64(text.parse().map_err(|_| expected())?).map_err(|_| expected())
 }
 
 /// Parses a number from 0 to 1.
@@ -59,6 +78,8 @@ impl DetectorArgs {
     pub fn config(&self) -> Result<Config, Failure> {
         let mut config = Config::new(weight_file(self.weights.as_deref())?);
         config.iou = self.iou;
+        config.input_size = self.size;
+        config.timeout = self.timeout;
         config.device = self.device.device.clone();
         Ok(config)
     }
@@ -92,6 +113,19 @@ pub(super) fn open_gpu(device: &Device) -> Result<Option<Arc<Gpu>>, Failure> {
             Ok(None)
         }
         other => Ok(Some(other?)),
+    }
+}
+
+/// The adapter for a command that holds a GPU to the CPU's reference.
+///
+/// # Errors
+/// [`Exit::Usage`] for the CPU itself.
+pub(super) fn gpu_only(device: &Device) -> Result<&AdapterChoice, Failure> {
+    match device {
+        Device::Gpu(choice) => Ok(choice),
+        Device::Cpu => Err(Failure::usage(
+            "--device: expected a GPU to hold to the CPU's reference, got `cpu`",
+        )),
     }
 }
 

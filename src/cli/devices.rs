@@ -58,6 +58,11 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             print(&record)?;
         }
     }
+    if found.iter().all(|report| !report.lacks.is_empty()) {
+        let message = "every adapter lacks something that the shaders need; the package \
+                       `mesa-vulkan-drivers` brings one that lacks nothing";
+        return Err(Failure::new(Exit::Device, message));
+    }
     Ok(Exit::Done)
 }
 

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use ab_glyph::FontRef;
-use image::{DynamicImage, Rgb, RgbImage};
+use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
 use imageproc::drawing::{draw_filled_rect_mut, draw_text_mut, text_size};
 use imageproc::rect::Rect;
 use smr_gpu::Detection;
@@ -137,7 +137,12 @@ impl Gallery {
             Source::Stdin => Some("stdin".into()),
         };
         let path = self.free_name(&stem.unwrap_or_else(|| "picture".into()));
-        picture.save(&path).map_err(|e| cannot_write(&path, e))
+        // Renamed into place: what a name was a link to stays as it is.
+        let unfinished = path.with_extension("unfinished");
+        picture
+            .save_with_format(&unfinished, ImageFormat::Png)
+            .map_err(|e| cannot_write(&unfinished, e))?;
+        std::fs::rename(&unfinished, &path).map_err(|e| cannot_write(&path, e))
     }
 
     fn free_name(&mut self, stem: &str) -> PathBuf {
@@ -148,7 +153,8 @@ impl Gallery {
                 n => format!("{stem}-{n}.png"),
             };
             let path = self.folder.join(name);
-            if self.taken.insert(path.clone()) {
+            // A link to a source is a source.
+            if self.taken.insert(path.canonicalize().unwrap_or_else(|_| path.clone())) {
                 return path;
             }
             number += 1;

@@ -1,6 +1,7 @@
 //! `smr-gpu eval`: how good the detections are on labelled pictures.
 
 use std::collections::HashMap;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -12,7 +13,7 @@ use smr_gpu::model::ModelConfig;
 use smr_gpu::{Detections, GpuDetector};
 
 use super::detector::{self, DetectorArgs, fraction};
-use super::exit::{Exit, Failure, exit_of};
+use super::exit::{Exit, Failure};
 use super::output::{json_line, line, tell};
 use super::picture;
 use super::source::Source;
@@ -42,7 +43,7 @@ pub(super) struct Args {
 
     /// Look at the first N pictures alone.
     #[arg(long, value_name = "N")]
-    limit: Option<usize>,
+    limit: Option<NonZeroUsize>,
 
     /// Print one JSON object.
     #[arg(long)]
@@ -135,7 +136,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let detector = detector::open(config)?;
     let classes = detector.model().classes.clone();
     let mut pictures = read_labels(&args.data, &classes)?;
-    pictures.truncate(args.limit.unwrap_or(usize::MAX));
+    pictures.truncate(args.limit.map_or(usize::MAX, NonZeroUsize::get));
 
     // By class, then by picture.
     let mut boxes: Vec<Vec<PictureBoxes>> = vec![Vec::new(); classes.len()];
@@ -153,7 +154,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
                 progress.suspend(|| message.into_iter().for_each(tell));
                 failed += 1;
             }
-            Err(failure) => return Err(failure),
+            Err(failure) => return Err(failure.told()),
         }
         progress.inc(1);
     }
@@ -195,11 +196,10 @@ fn read_labels(folder: &Path, classes: &[String]) -> Result<Vec<Labelled>, Failu
     let mut class_of = HashMap::new();
     for category in &coco.categories {
         let index = classes.iter().position(|c| c.eq_ignore_ascii_case(&category.name));
-        let index = index.ok_or_else(|| {
-            let (expected, got) = (classes.join(", "), &category.name);
-            failed(format!("category: expected one of the weights' {expected}; got `{got}`"))
-        })?;
-        class_of.insert(category.id, index);
+        class_of.insert(category.id, index.ok_or(&category.name));
+    }
+    if coco.images.is_empty() {
+        return Err(failed("images: expected at least one, got none".into()));
     }
     let mut pictures: Vec<Labelled> = Vec::with_capacity(coco.images.len());
     let mut position_of = HashMap::new();
@@ -224,7 +224,12 @@ fn read_labels(folder: &Path, classes: &[String]) -> Result<Vec<Labelled>, Failu
         let class = class_of.get(&category_id);
         let class = class
             .ok_or_else(|| failed(format!("annotation: no category has the id {category_id}")))?;
-        pictures[*position].truths.push((*class, [x, y, x + width, y + height]));
+        // Tools list categories that no annotation uses.
+        let class = class.map_err(|got| {
+            let expected = classes.join(", ");
+            failed(format!("category: expected one of the weights' {expected}; got `{got}`"))
+        })?;
+        pictures[*position].truths.push((class, [x, y, x + width, y + height]));
     }
     Ok(pictures)
 }
@@ -240,7 +245,7 @@ fn look(detector: &GpuDetector, labelled: &Labelled) -> Result<Detections, Failu
         }
         _ => {}
     }
-    detector.detect(&picture).map_err(|e| Failure::new(exit_of(&e), format!("{source}: {e}")))
+    detector.detect(&picture).map_err(|e| Failure::about(source, &e))
 }
 
 /// The boxes of one class in millimetres: overlaps do not depend on the unit, centre errors do.
@@ -280,8 +285,11 @@ fn row(class: &str, boxes: &[&Vec<PictureBoxes>], conf: f64) -> Row {
         let n = values.len();
         (n > 0).then(|| values.into_iter().sum::<f64>() / n as f64)
     };
-    let over_classes = |ap: &dyn Fn(&Vec<PictureBoxes>) -> Option<f64>| {
-        mean(boxes.iter().filter_map(|b| ap(b)).collect())
+    // Whatever `--conf` is.
+    let above = |picture: &PictureBoxes| picture.above(LEAST_SCORE.into());
+    let scored: Vec<Vec<_>> = boxes.iter().map(|b| b.iter().map(above).collect()).collect();
+    let over_classes = |ap: &dyn Fn(&[PictureBoxes]) -> Option<f64>| {
+        mean(scored.iter().filter_map(|b| ap(b)).collect())
     };
     Row {
         class: class.into(),

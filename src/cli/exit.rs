@@ -4,6 +4,8 @@ use std::fmt::Display;
 
 use smr_gpu::Error;
 
+use super::output::tell;
+
 /// Shown below `--help`.
 pub(super) const HELP: &str = "\
 Exit codes: 0 done, 1 some inputs failed, 2 usage, 3 weights, 4 no device, 5 device lost or timed \
@@ -40,6 +42,17 @@ pub(super) struct Failure {
 impl Failure {
     pub fn new(exit: Exit, message: impl Display) -> Self {
         Self { exit, message: Some(message.to_string()) }
+    }
+
+    /// An error of the library about one input.
+    pub fn about(input: impl Display, error: &Error) -> Self {
+        Self::new(exit_of(error), format!("{input}: {error}"))
+    }
+
+    /// Tells the user at once: to close a device that hangs takes its time.
+    pub fn told(self) -> Self {
+        self.message.into_iter().for_each(tell);
+        Self { message: None, ..self }
     }
 
     pub fn usage(message: impl Display) -> Self {

@@ -4,6 +4,7 @@
 
 mod calibrate;
 mod check;
+mod compare;
 mod detect;
 mod detector;
 mod devices;
@@ -38,6 +39,7 @@ enum Command {
     Eval(eval::Args),
     Op(op::Args),
     Check(check::Args),
+    Compare(compare::Args),
     Simulate(simulate::Args),
     Calibrate(calibrate::Args),
 }
@@ -50,6 +52,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Eval(args) => eval::run(args),
         Command::Op(args) => op::run(args),
         Command::Check(args) => check::run(args),
+        Command::Compare(args) => compare::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Calibrate(args) => calibrate::run(args),
     };

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
 
-use smr_gpu::ops::{self, Op, Params, case};
+use smr_gpu::ops::{self, Entry, Op, Param, Params, case};
 use smr_gpu::tensor::Value;
 use smr_gpu::{Device, Error};
 
@@ -37,7 +37,7 @@ pub(super) struct Args {
     #[arg(long = "param", value_name = "KEY=VALUE", value_parser = key_value)]
     params: Vec<(String, String)>,
 
-    /// List the operations.
+    /// List the operations with their inputs, outputs and parameters.
     #[arg(long, exclusive = true)]
     list: bool,
 
@@ -54,9 +54,7 @@ fn key_value(text: &str) -> Result<(String, String), String> {
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let (Some(name), Some(input), Some(output)) = (&args.name, &args.input, &args.output) else {
-        for entry in ops::OPS {
-            line(entry.name)?;
-        }
+        ops::OPS.iter().try_for_each(|entry| list(entry))?;
         return Ok(Exit::Done);
     };
     let Some(entry) = ops::find(name) else {
@@ -79,6 +77,21 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let named = op.outputs().into_iter().zip(&outputs);
     tensors::write(output, named, HashMap::new())?;
     Ok(Exit::Done)
+}
+
+/// Prints what an operation takes and gives.
+fn list(entry: &Entry) -> Result<(), Failure> {
+    line(entry.name)?;
+    line(format!("   takes   {}", entry.takes))?;
+    line(format!("   gives   {}", entry.gives))?;
+    if entry.params.is_empty() {
+        return Ok(());
+    }
+    let text = |p: &Param| match p.required {
+        true => format!("{} (required, such as {})", p.name, p.value),
+        false => format!("{}={}", p.name, p.value),
+    };
+    line(format!("   params  {}", entry.params.iter().map(text).collect::<Vec<_>>().join(", ")))
 }
 
 /// The operation's inputs in its order; every tensor of the file must be one.

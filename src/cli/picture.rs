@@ -4,13 +4,12 @@ use std::fs::File;
 use std::io::{Cursor, Read};
 
 use image::{DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits};
+use smr_gpu::detector::MAX_PIXELS;
 
 use super::source::Source;
 
-/// Most pixels of a picture: as RGBA8 they fill the 128 MiB that every device can bind.
-const MAX_PIXELS: u64 = 1 << 25;
 /// Most bytes of a decoded picture: [`MAX_PIXELS`] of four 32-bit floats.
-const MAX_DECODED: u64 = MAX_PIXELS * 16;
+const MAX_DECODED: u64 = MAX_PIXELS as u64 * 16;
 /// Most bytes of a picture as it is stored.
 const MAX_ENCODED: u64 = 1 << 30;
 
@@ -41,7 +40,7 @@ fn decode(bytes: &[u8]) -> Result<DynamicImage, String> {
     let readable = |e: ImageError| format!("expected a readable {format:?}, got an error: {e}");
     let mut decoder = reader.into_decoder().map_err(readable)?;
     let (width, height) = decoder.dimensions();
-    if u64::from(width) * u64::from(height) > MAX_PIXELS {
+    if u64::from(width) * u64::from(height) > MAX_PIXELS as u64 {
         return Err(format!("expected at most {MAX_PIXELS} pixels, got {width} × {height}"));
     }
     if format == ImageFormat::Jpeg && !jpeg_is_whole(bytes) {

@@ -22,14 +22,24 @@ impl fmt::Display for Source {
     }
 }
 
+impl From<&Path> for Source {
+    fn from(argument: &Path) -> Self {
+        match argument == Path::new("-") {
+            true => Self::Stdin,
+            false => Self::File(argument.into()),
+        }
+    }
+}
+
 /// The pictures that an argument names: a file itself, a folder's pictures sorted by name, what a
 /// pattern matches, or stdin for `-`.
 ///
 /// # Errors
 /// A line that names the argument, if there is nothing.
 pub(super) fn expand(argument: &Path) -> Result<Vec<Source>, String> {
-    if argument == Path::new("-") {
-        return Ok(vec![Source::Stdin]);
+    let source = Source::from(argument);
+    if source == Source::Stdin {
+        return Ok(vec![source]);
     }
     if argument.is_dir() {
         return folder(argument);
@@ -39,7 +49,7 @@ pub(super) fn expand(argument: &Path) -> Result<Vec<Source>, String> {
         return pattern(&text);
     }
     // Reading tells why a file cannot be read.
-    Ok(vec![Source::File(argument.into())])
+    Ok(vec![source])
 }
 
 fn folder(path: &Path) -> Result<Vec<Source>, String> {

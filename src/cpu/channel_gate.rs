@@ -1,6 +1,6 @@
 //! CBAM's channel gate.
 
-use crate::cpu::shared::relu;
+use crate::cpu::shared::{relu, sigmoid};
 use crate::tensor::Tensor;
 
 /// `sigmoid(f(average) + f(maximum))` with `f(x) = fc2(relu(fc1(x)))`, one gate a channel.
@@ -22,7 +22,7 @@ pub fn channel_gate(
         linear(&hidden, fc2_weight, fc2_bias)
     };
     let (average, maximum) = (logits(0), logits(1));
-    Tensor::from_fn([channels], |c| (1.0 / (1.0 + (-average[c] - maximum[c]).exp())) as f32)
+    Tensor::from_fn([channels], |c| sigmoid(average[c] + maximum[c]) as f32)
 }
 
 fn widen(x: &f32) -> f64 {

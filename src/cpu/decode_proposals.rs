@@ -48,8 +48,3 @@ pub fn decode_proposals(
         })
         .collect()
 }
-
-/// 1 / (1 + e⁻ˣ).
-pub fn sigmoid(x: f32) -> f32 {
-    (1.0 / (1.0 + (-f64::from(x)).exp())) as f32
-}

@@ -5,7 +5,8 @@ use rayon::prelude::*;
 use crate::tensor::Tensor;
 
 /// The largest value in each window of `kernel` × `kernel` pixels, `stride` apart, on `[C, H, W]`
-/// with `padding` pixels of minus infinity on each side. The convention is PyTorch's `max_pool2d`.
+/// with `padding` pixels of minus infinity on each side. The convention is PyTorch's `max_pool2d`,
+/// also that a NaN in a window is its maximum.
 pub fn max_pool2d(input: &Tensor, kernel: usize, stride: usize, padding: usize) -> Tensor {
     let [channels, in_h, in_w] = [0, 1, 2].map(|i| input.dims()[i]);
     let [out_h, out_w] = [in_h, in_w].map(|n| (n + 2 * padding - kernel) / stride + 1);
@@ -20,7 +21,10 @@ pub fn max_pool2d(input: &Tensor, kernel: usize, stride: usize, padding: usize) 
                     if (padding..padding + in_h).contains(&y)
                         && (padding..padding + in_w).contains(&x)
                     {
-                        *out = out.max(plane[(y - padding) * in_w + x - padding]);
+                        let value = plane[(y - padding) * in_w + x - padding];
+                        if value > *out || value.is_nan() {
+                            *out = value;
+                        }
                     }
                 }
             }

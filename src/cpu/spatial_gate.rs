@@ -1,5 +1,6 @@
 //! CBAM's spatial gate.
 
+use crate::cpu::shared::sigmoid;
 use crate::tensor::Tensor;
 
 /// `sigmoid` of a 7×7 convolution with padding 3: `pooled` `[2, H, W]`, `weight` `[1, 2, 7, 7]`,
@@ -18,6 +19,6 @@ pub fn spatial_gate(pooled: &Tensor, weight: &Tensor, bias: &Tensor) -> Tensor {
                 logit += f64::from(*weight) * f64::from(pooled.data()[at]);
             }
         }
-        (1.0 / (1.0 + (-logit).exp())) as f32
+        sigmoid(logit) as f32
     })
 }

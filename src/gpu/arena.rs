@@ -61,7 +61,7 @@ pub fn assign(recording: &Recording, reuse: bool) -> Assignment {
     }
     // The host writes and reads these even where no dispatch touches them.
     for id in 0..count {
-        let by_host = matches!(recording.tensors()[id].role, Role::Input | Role::Output);
+        let by_host = matches!(recording.tensors()[id].role, Role::Input(_) | Role::Output);
         if slots.slot[id].is_none() && by_host {
             take(&mut slots, &mut Vec::new(), id);
         }
@@ -81,7 +81,7 @@ fn tensors_of(dispatch: &crate::gpu::Dispatch) -> impl Iterator<Item = TensorId>
 mod tests {
     use super::*;
     use crate::gpu::{Dispatch, ParamLayout, Shader};
-    use crate::shape::TensorSpec;
+    use crate::shape::{Extent, TensorSpec};
 
     static SHADER: Shader =
         Shader { stem: "none", source: "", params: ParamLayout { size: 0, fields: &[] } };
@@ -90,7 +90,6 @@ mod tests {
         recording.dispatch(Dispatch {
             shader: &SHADER,
             entry: "main",
-            constants: vec![],
             params: vec![],
             bindings: tensors.iter().map(|t| ("x", *t)).collect(),
             grid: Grid::Workgroups([1, 1, 1]),
@@ -100,7 +99,7 @@ mod tests {
     #[test]
     fn a_chain_needs_two_buffers_and_outputs_are_kept() {
         let mut r = Recording::default();
-        let input = r.tensor("input", TensorSpec::f32([8]), Role::Input);
+        let input = r.tensor("input", TensorSpec::f32([8]), Role::Input(Extent::Exact));
         let t: Vec<_> = (0..4).map(|_| r.scratch("t", TensorSpec::f32([8]))).collect();
         let output = r.tensor("output", TensorSpec::f32([8]), Role::Output);
         let unused = r.constant("unused", crate::tensor::Tensor::<f32>::zeros([64]));

@@ -14,7 +14,7 @@ pub enum AdapterChoice {
     /// The fastest kind: discrete, integrated, virtual, then software.
     #[default]
     Auto,
-    /// Position in the list that [`adapters`] returns.
+    /// Position in the list that [`adapters`] returns; past its end, part of a name ("4090").
     Index(usize),
     /// Part of the adapter's name, in any case.
     Name(String),
@@ -62,7 +62,11 @@ pub struct AdapterReport {
     pub lacks: Vec<String>,
 }
 
-type PipelineKey = (&'static str, &'static str, Vec<(&'static str, u64)>);
+/// Longest wait for the work under way when a device is closed, if its own limit is not longer.
+const LAST_WAIT: Duration = Duration::from_secs(10);
+
+/// Shader and entry point.
+type PipelineKey = (&'static str, &'static str);
 
 /// A shader entry point, compiled, with its bindings by name.
 #[derive(Debug)]
@@ -119,6 +123,11 @@ async fn list() -> Vec<wgpu::Adapter> {
     found
 }
 
+fn named<'a>(found: &'a [wgpu::Adapter], part: &str) -> Option<&'a wgpu::Adapter> {
+    let part = part.to_lowercase();
+    found.iter().find(|a| a.get_info().name.to_lowercase().contains(&part))
+}
+
 fn lacks(limits: &wgpu::Limits) -> Vec<String> {
     let mut lacks = Vec::new();
     required_limits().check_limits_with_fail_fn(limits, false, |name, required, actual| {
@@ -145,24 +154,27 @@ impl Gpu {
     /// Opens the device that `options` ask for, with exactly WebGPU's default limits.
     ///
     /// # Errors
-    /// [`Error::NoAdapter`] if none matches; [`Error::Device`] if it cannot give the limits.
+    /// [`Error::NoAdapter`] if none matches, or with [`AdapterChoice::Auto`] none gives the limits;
+    /// [`Error::Device`] if the chosen one cannot give them.
     pub async fn open(options: GpuOptions) -> Result<Arc<Self>> {
         let found = list().await;
-        let names: Vec<String> = found.iter().map(|a| a.get_info().name).collect();
+        let describe = |a: &wgpu::Adapter| match &lacks(&a.limits())[..] {
+            [] => a.get_info().name,
+            lacks => format!("{} (lacks {})", a.get_info().name, lacks.join("; ")),
+        };
         let none = || Error::NoAdapter {
             wanted: options.adapter.to_string(),
-            found: match names.is_empty() {
+            found: match found.is_empty() {
                 true => "none was found".into(),
-                false => format!("found {}", names.join(", ")),
+                false => {
+                    format!("found {}", found.iter().map(describe).collect::<Vec<_>>().join(", "))
+                }
             },
         };
         let adapter = match &options.adapter {
             AdapterChoice::Auto => found.iter().find(|a| lacks(&a.limits()).is_empty()),
-            AdapterChoice::Index(i) => found.get(*i),
-            AdapterChoice::Name(part) => {
-                let part = part.to_lowercase();
-                found.iter().find(|a| a.get_info().name.to_lowercase().contains(&part))
-            }
+            AdapterChoice::Index(i) => found.get(*i).or_else(|| named(&found, &i.to_string())),
+            AdapterChoice::Name(part) => named(&found, part),
         }
         .ok_or_else(none)?;
         let info = adapter.get_info();
@@ -285,8 +297,7 @@ impl Gpu {
     /// The pipeline for a dispatch, compiled on first use.
     pub(super) fn pipeline(&self, dispatch: &Dispatch) -> Result<Arc<Pipeline>> {
         let shader = dispatch.shader;
-        let constants = dispatch.constants.iter().map(|(n, v)| (*n, v.to_bits())).collect();
-        let key = (shader.stem, dispatch.entry, constants);
+        let key = (shader.stem, dispatch.entry);
         let mut pipelines = self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(pipeline) = pipelines.get(&key) {
             return Ok(pipeline.clone());
@@ -334,9 +345,9 @@ impl Gpu {
             module: &module.module,
             entry_point: Some(dispatch.entry),
             compilation_options: wgpu::PipelineCompilationOptions {
-                constants: &dispatch.constants,
                 // Every shader writes its workgroup memory before it reads it.
                 zero_initialize_workgroup_memory: false,
+                ..Default::default()
             },
             cache: None,
         });
@@ -344,13 +355,23 @@ impl Gpu {
         pipelines.insert(key, pipeline.clone());
         Ok(pipeline)
     }
+
+    /// Forgets every compiled shader: one that the driver refused must not serve the next plan.
+    pub(super) fn forget_pipelines(&self) {
+        self.pipelines.lock().unwrap_or_else(PoisonError::into_inner).clear();
+        self.modules.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
 }
 
 impl Drop for Gpu {
-    /// A process that exits while a software driver still compiles can crash: wait for it.
+    /// A process that exits while a software driver still works can crash: wait for it, but not for
+    /// ever.
     fn drop(&mut self) {
-        let wait = wgpu::PollType::Wait { submission_index: None, timeout: Some(self.timeout()) };
-        // Nothing is left to do about a device that does not answer.
-        let _ = self.device.poll(wait);
+        let timeout = self.timeout().max(LAST_WAIT);
+        let wait = wgpu::PollType::Wait { submission_index: None, timeout: Some(timeout) };
+        if let Err(wgpu::PollError::Timeout) = self.device.poll(wait) {
+            // To drop the queue would wait without a limit: a device that hangs keeps its own.
+            std::mem::forget((self.device.clone(), self.queue.clone()));
+        }
     }
 }

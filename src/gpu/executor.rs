@@ -11,7 +11,7 @@ use crate::gpu::context::{Gpu, Pipeline};
 use crate::gpu::readback;
 use crate::gpu::recording::{Dispatch, Grid, Recording, Role, TensorId, TensorInfo};
 use crate::gpu::shader::BindingKind;
-use crate::shape::TensorSpec;
+use crate::shape::{Extent, TensorSpec};
 use crate::tensor::Value;
 
 /// Uniform bindings start at multiples of this under `wgpu::Limits::default()`.
@@ -85,7 +85,7 @@ pub struct Plan {
     buffers: Vec<wgpu::Buffer>,
     slot: Vec<Option<usize>>,
     /// Tensors the host writes before each run.
-    inputs: HashMap<TensorId, TensorInfo>,
+    inputs: HashMap<TensorId, (TensorInfo, Extent)>,
     /// Buffers that dispatches write, to be poisoned in guarded plans.
     computed: Vec<(usize, Vec<u8>)>,
     outputs: Vec<Output>,
@@ -112,7 +112,11 @@ impl Plan {
     /// [`Error::Driver`] for what the driver objects to.
     pub async fn new(gpu: &Arc<Gpu>, recording: &Recording, options: PlanOptions) -> Result<Self> {
         gpu.check_lost()?;
-        gpu.scoped("building the plan", || Self::build(gpu, recording, options)).await
+        let plan = gpu.scoped("building the plan", || Self::build(gpu, recording, options)).await;
+        if plan.is_err() {
+            gpu.forget_pipelines();
+        }
+        plan
     }
 
     fn build(gpu: &Arc<Gpu>, recording: &Recording, options: PlanOptions) -> Result<Self> {
@@ -152,15 +156,15 @@ impl Plan {
         for (index, info) in recording.tensors().iter().enumerate() {
             let Some(at) = slot[index] else { continue };
             let buffer = &buffers[at];
-            let by_host = matches!(info.role, Role::Constant(_) | Role::Input);
+            let by_host = matches!(info.role, Role::Constant(_) | Role::Input(_));
             if options.guard && by_host {
                 let end = buffer.size() - guard;
                 gpu.queue.write_buffer(buffer, end, bytemuck::cast_slice(&[POISON; 64]));
             }
             match &info.role {
                 Role::Constant(value) => gpu.queue.write_buffer(buffer, 0, value.bytes()),
-                Role::Input => {
-                    inputs.insert(TensorId(index), info.clone());
+                Role::Input(extent) => {
+                    inputs.insert(TensorId(index), (info.clone(), *extent));
                 }
                 Role::Transient | Role::Output => {
                     if options.guard {
@@ -202,6 +206,13 @@ impl Plan {
                 staging_bytes = offset + resolve.size();
                 (set, resolve, offset)
             });
+        if staging_bytes > limits.max_buffer_size {
+            return Err(Error::Capacity {
+                what: "bytes read back in one run; keep fewer tensors or a smaller input".into(),
+                needed: staging_bytes,
+                available: limits.max_buffer_size,
+            });
+        }
         let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("staging"),
             size: staging_bytes.max(4),
@@ -302,9 +313,9 @@ impl Plan {
     pub fn run(&mut self, inputs: &[(TensorId, &Value)]) -> Result<RunOutput> {
         let start = Instant::now();
         self.gpu.check_lost()?;
-        for (id, info) in &self.inputs {
+        for (id, (info, extent)) in &self.inputs {
             let given = inputs.iter().find(|(i, _)| i == id).map(|(_, v)| v.spec());
-            if given.as_ref() != Some(&info.spec) {
+            if !given.as_ref().is_some_and(|given| extent.admits(&info.spec, given)) {
                 let got = given.map_or("nothing".into(), |s| s.to_string());
                 return Err(Error::tensor("run", &info.name, &info.spec, got));
             }

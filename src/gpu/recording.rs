@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::error::{Error, Result};
 use crate::gpu::shader::Shader;
-use crate::shape::TensorSpec;
+use crate::shape::{Extent, TensorSpec};
 use crate::tensor::Value;
 
 /// Index of a tensor in a [`Recording`].
@@ -17,7 +17,7 @@ pub enum Role {
     /// Uploaded once, when the plan is built: weights.
     Constant(Arc<Value>),
     /// Written by the host before each run.
-    Input,
+    Input(Extent),
     /// Written and read by dispatches; its buffer is reused when it is dead.
     Transient,
     /// Like a transient, but read back after each run.
@@ -65,14 +65,31 @@ pub struct Dispatch {
     pub shader: &'static Shader,
     /// Entry point in that file.
     pub entry: &'static str,
-    /// Values of the shader's `override` constants.
-    pub constants: Vec<(&'static str, f64)>,
     /// Bytes of the uniform `params`; empty if the entry point has none.
     pub params: Vec<u8>,
     /// Tensor of each storage binding, by the variable's name in the shader.
     pub bindings: Vec<(&'static str, TensorId)>,
     /// Number of workgroups.
     pub grid: Grid,
+}
+
+impl Dispatch {
+    /// A dispatch with `params` as its uniform.
+    pub fn new(
+        shader: &'static Shader,
+        entry: &'static str,
+        params: &impl bytemuck::NoUninit,
+        bindings: &[(&'static str, TensorId)],
+        grid: Grid,
+    ) -> Self {
+        Self {
+            shader,
+            entry,
+            params: bytemuck::bytes_of(params).to_vec(),
+            bindings: bindings.to_vec(),
+            grid,
+        }
+    }
 }
 
 /// A named run of consecutive dispatches: the unit of timing.
@@ -149,7 +166,7 @@ impl Recording {
             Role::Constant(value) => Ok(value.clone()),
             other => {
                 let got = match other {
-                    Role::Input => "an input",
+                    Role::Input(_) => "an input",
                     _ => "a computed tensor",
                 };
                 Err(Error::tensor(op, &self.info(id).name, "weights known when recording", got))

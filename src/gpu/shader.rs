@@ -84,21 +84,38 @@ pub struct Reflection {
     pub params: Option<(u32, Vec<(String, u32)>)>,
 }
 
-/// The shader's text with its includes appended after it, so that its own line numbers stay.
-///
-/// # Errors
-/// [`Error::Shader`] for an include that does not exist.
-fn expand(shader: &Shader) -> Result<String> {
-    let mut text = shader.source.to_owned();
-    for (line, content) in shader.source.lines().enumerate() {
-        let Some(name) = content.strip_prefix("// include: ") else { continue };
-        let Some((_, shared)) = SHARED.iter().find(|(n, _)| *n == name.trim()) else {
-            return Err(shader.error(line as u32 + 1, format!("no shared file `{name}`")));
-        };
-        text.push('\n');
-        text.push_str(shared);
+/// A shader's text followed by the files that it includes.
+struct Expanded {
+    text: String,
+    /// Each file, and how many lines of `text` come before it.
+    files: Vec<(String, usize)>,
+}
+
+impl Expanded {
+    /// # Errors
+    /// [`Error::Shader`] for an include that does not exist.
+    fn new(shader: &Shader) -> Result<Self> {
+        let mut text = shader.source.to_owned();
+        let mut files = vec![(format!("{}.wgsl", shader.stem), 0)];
+        for (line, content) in shader.source.lines().enumerate() {
+            let Some(name) = content.strip_prefix("// include: ") else { continue };
+            let Some((name, shared)) = SHARED.iter().find(|(n, _)| *n == name.trim()) else {
+                return Err(shader.error(line as u32 + 1, format!("no shared file `{name}`")));
+            };
+            text.push('\n');
+            files.push((format!("shared/{name}.wgsl"), text.lines().count()));
+            text.push_str(shared);
+        }
+        Ok(Self { text, files })
     }
-    Ok(text)
+
+    /// An error at a line of the whole text, under the file and the line that a reader would open.
+    fn error(&self, location: Option<naga::SourceLocation>, message: String) -> Error {
+        let line = location.map_or(0, |l| l.line_number);
+        let before = |(_, first): &&(String, usize)| line as usize > *first;
+        let (file, first) = self.files.iter().rfind(before).unwrap_or(&self.files[0]);
+        Error::Shader { file: file.clone(), line: line.saturating_sub(*first as u32), message }
+    }
 }
 
 impl Shader {
@@ -113,17 +130,13 @@ impl Shader {
 /// [`Error::Shader`] with file and line if it does not compile, if it binds outside group 0, or if
 /// the two layouts of `Params` differ.
 pub fn reflect(shader: &Shader) -> Result<Reflection> {
-    let text = expand(shader)?;
-    let module = naga::front::wgsl::parse_str(&text).map_err(|e| {
-        let line = e.location(&text).map_or(0, |l| l.line_number);
-        shader.error(line, e.emit_to_string(&text))
-    })?;
+    let expanded = Expanded::new(shader)?;
+    let text = &expanded.text;
+    let module = naga::front::wgsl::parse_str(text)
+        .map_err(|e| expanded.error(e.location(text), e.emit_to_string(text)))?;
     let info = Validator::new(ValidationFlags::all(), Capabilities::all())
         .validate(&module)
-        .map_err(|e| {
-            let line = e.location(&text).map_or(0, |l| l.line_number);
-            shader.error(line, e.emit_to_string(&text))
-        })?;
+        .map_err(|e| expanded.error(e.location(text), e.emit_to_string(text)))?;
     let mut layouter = naga::proc::Layouter::default();
     layouter.update(module.to_ctx()).map_err(|e| shader.error(0, e.to_string()))?;
 
@@ -176,7 +189,7 @@ pub fn reflect(shader: &Shader) -> Result<Reflection> {
             workgroup_size: entry.workgroup_size,
         });
     }
-    Ok(Reflection { text, entries, params })
+    Ok(Reflection { text: expanded.text, entries, params })
 }
 
 fn check_params(shader: &Shader, span: u32, fields: &[(String, u32)]) -> Result<()> {
@@ -192,4 +205,52 @@ fn check_params(shader: &Shader, span: u32, fields: &[(String, u32)]) -> Result<
         ));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NONE: ParamLayout = ParamLayout { size: 0, fields: &[] };
+
+    fn place(source: &'static str) -> (String, u32) {
+        match reflect(&Shader { stem: "own", source, params: NONE }) {
+            Err(Error::Shader { file, line, .. }) => (file, line),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn an_error_names_the_file_and_line_that_it_is_in() {
+        let own = "// include: index\n\nfn broken() -> u32 { return missing; }\n";
+        assert_eq!(place(own), ("own.wgsl".into(), 3));
+        assert_eq!(place("\n// include: none\n"), ("own.wgsl".into(), 2));
+    }
+
+    #[test]
+    fn a_line_of_the_expanded_text_is_a_line_of_one_file() {
+        let source = "// include: relu\n// include: index\n";
+        let text = Expanded::new(&Shader { stem: "own", source, params: NONE }).expect("includes");
+        for (number, content) in text.text.lines().enumerate() {
+            let at = naga::SourceLocation {
+                line_number: number as u32 + 1,
+                line_position: 1,
+                offset: 0,
+                length: 0,
+            };
+            let Error::Shader { file, line, .. } = text.error(Some(at), String::new()) else {
+                panic!("another error");
+            };
+            let whole = match file.strip_prefix("shared/").and_then(|f| f.strip_suffix(".wgsl")) {
+                Some(name) => SHARED.iter().find(|(n, _)| *n == name).expect("a shared file").1,
+                None => source,
+            };
+            // An empty line parts the files.
+            assert_eq!(
+                whole.lines().nth(line as usize - 1).unwrap_or(""),
+                content,
+                "{file}:{line}"
+            );
+        }
+    }
 }

@@ -112,8 +112,11 @@ fn reduce_concatenation(
         };
         let op = Conv2d { residual: sum.is_some(), ..Conv2d::default() };
         let inputs: Vec<_> = [*map].into_iter().chain(sum).collect();
-        let name = if scale == 2 { "fusion.fused" } else { "fusion.reduce" };
-        sum = Some(convolve(graph, name, op, Folded { weight, bias }, &inputs)?);
+        let name = match scale {
+            2 => "fusion.fused".into(),
+            _ => format!("fusion.reduce{}", scale + 1),
+        };
+        sum = Some(convolve(graph, &name, op, Folded { weight, bias }, &inputs)?);
     }
     sum.ok_or_else(|| Error::tensor("fusion", "maps", "three scales", 0))
 }

@@ -11,13 +11,14 @@ mod weights;
 
 pub use config::{ModelConfig, Variant};
 pub use roi_head::Thresholds;
+pub use rpn::Candidates;
 pub use weights::Weights;
 
 use crate::error::Result;
 use crate::gpu::TensorId;
 use crate::graph::Graph;
 use crate::ops::CropResize;
-use crate::shape::TensorSpec;
+use crate::shape::{Extent, TensorSpec};
 
 /// The whole network as a graph, with the ids of what goes in and comes out.
 #[derive(Debug)]
@@ -26,7 +27,7 @@ pub struct Network {
     pub graph: Graph,
     /// The configuration that the weights carry.
     pub config: ModelConfig,
-    /// Input: packed RGBA pixels, u32 `[capacity]`.
+    /// Input: packed RGBA pixels, u32 `[capacity]` or shorter.
     pub picture: TensorId,
     /// Input: picture width and height, then x, y and side of the square crop, u32 `[5]`.
     pub crop: TensorId,
@@ -40,6 +41,8 @@ pub struct Network {
     pub count: TensorId,
     /// Output: how many proposals the RoI head saw, `[1]`.
     pub proposal_count: TensorId,
+    /// What the proposals were chosen from.
+    pub candidates: Candidates,
     /// Outputs of the heads, by which a value that is not finite is noticed.
     pub witnesses: Vec<Witness>,
 }
@@ -61,8 +64,8 @@ impl Network {
     pub fn new(mut weights: Weights, capacity: usize, thresholds: Thresholds) -> Result<Self> {
         let config = weights.config().clone();
         let mut graph = Graph::default();
-        let picture = graph.input("picture", TensorSpec::u32([capacity]));
-        let crop = graph.input("crop", TensorSpec::u32([5]));
+        let picture = graph.input("picture", TensorSpec::u32([capacity]), Extent::UpTo);
+        let crop = graph.input("crop", TensorSpec::u32([5]), Extent::Exact);
         graph.begin_stage("input");
         let resize = CropResize { size: config.input_size, mean: config.mean, std: config.std };
         let input = graph.apply1("input", resize, &[picture, crop])?;
@@ -94,6 +97,7 @@ impl Network {
             classes: head.classes,
             count: head.count,
             proposal_count: proposals.count,
+            candidates: proposals.candidates,
             witnesses,
         })
     }

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use rand::{RngExt, SeedableRng};
 use safetensors::{Dtype, SafeTensors};
 
 use crate::error::{Error, Result};
@@ -26,7 +25,7 @@ pub struct Weights {
 #[derive(Clone, Debug)]
 enum Source {
     File(BTreeMap<String, Tensor>),
-    Random(u64),
+    Random(u32),
 }
 
 /// A convolution with its batch norm folded in: weight `[O, I, kh, kw]`, bias `[O]`.
@@ -91,8 +90,8 @@ impl Weights {
 
     /// Untrained weights for any variant, the same for the same seed on every machine: for tests
     /// and benchmarks, whose subject is not what the network finds. Scaled so that activations
-    /// neither vanish nor grow.
-    pub fn random(config: ModelConfig, seed: u64) -> Self {
+    /// neither vanish nor grow. `weights/training/variants.py` makes the same values.
+    pub fn random(config: ModelConfig, seed: u32) -> Self {
         Self { file: "random weights".into(), config, tensors: Source::Random(seed) }
     }
 
@@ -126,10 +125,7 @@ impl Weights {
         let shape = shape.into();
         let tensors = match &mut self.tensors {
             Source::File(tensors) => tensors,
-            Source::Random(seed) => {
-                *seed = seed.wrapping_add(1);
-                return Ok(random_tensor(name, shape, *seed));
-            }
+            Source::Random(seed) => return Ok(random_tensor(name, shape, *seed)),
         };
         match tensors.remove(name) {
             None => Err(self.fail(format!("tensor `{name}`: expected {shape}, got none"))),
@@ -197,15 +193,40 @@ impl Weights {
     }
 }
 
-/// Weights with variance 2 / fan-in (He et al. 2015), unit scales and variances, small biases.
-fn random_tensor(name: &str, shape: Shape, seed: u64) -> Tensor {
-    let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
+/// Middle and spread of an untrained vector, by the end of its name. As a training starts: each
+/// residual block near the identity, each gate open.
+const VECTORS: [(&str, f32, f32); 5] = [
+    ("running_var", 1.0, 0.5),
+    ("bn2.weight", 0.3, 0.1),
+    ("weight", 1.0, 0.2),
+    ("channel.fc2.bias", 1.0, 0.1),
+    ("spatial.bn.bias", 2.0, 0.1),
+];
+
+/// Weights with variance 2 / fan-in (He et al. 2015), and vectors as in [`VECTORS`]. An element is a
+/// hash of its tensor's name, its place and the seed, so that any language can make it.
+fn random_tensor(name: &str, shape: Shape, seed: u32) -> Tensor {
+    // FNV-1a of the name.
+    let key = name
+        .bytes()
+        .fold(0x811c_9dc5 ^ seed, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193));
     let fan_in: usize = shape.0.iter().skip(1).product();
-    let (middle, spread) = match (name.ends_with("running_var"), shape.rank()) {
-        (true, _) => (1.0, 0.5),
-        (_, 1) if name.ends_with("weight") => (1.0, 0.2),
-        (_, 1) => (0.0, 0.1),
+    let (middle, spread) = match shape.rank() {
+        1 => VECTORS
+            .iter()
+            .find(|(end, ..)| name.ends_with(end))
+            .map_or((0.0, 0.1), |(_, middle, spread)| (*middle, *spread)),
         _ => (0.0, (6.0 / fan_in as f32).sqrt()),
     };
-    Tensor::from_fn(shape, |_| middle + spread * rng.random_range(-1.0..1.0f32))
+    Tensor::from_fn(shape, |i| {
+        let hash = mix(key.wrapping_add((i as u32).wrapping_mul(0x9e37_79b9)));
+        middle + spread * ((hash >> 8) as f32 / (1 << 23) as f32 - 1.0)
+    })
+}
+
+/// Ettinger and Wellons' lowbias32: every bit of the result depends on every bit of `x`.
+fn mix(x: u32) -> u32 {
+    let x = (x ^ x >> 16).wrapping_mul(0x7feb_352d);
+    let x = (x ^ x >> 15).wrapping_mul(0x846c_a68b);
+    x ^ x >> 16
 }

@@ -24,7 +24,15 @@ static SHADER: Shader = Shader {
 };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "apply_gates", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "apply_gates",
+    takes: "input [C, H, W], channel_gate [C], spatial_gate [1, H, W]",
+    gives: "output [C, H, W]",
+    params: &[],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// CBAM's result: the map times its channel gate, times its spatial gate.
 ///
@@ -63,19 +71,14 @@ impl Op for ApplyGates {
     ) -> Result<()> {
         let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
         let params = Params { channels, area: height * width };
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "main",
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings: vec![
-                ("input", inputs[0]),
-                ("channel_gate", inputs[1]),
-                ("spatial_gate", inputs[2]),
-                ("output", outputs[0]),
-            ],
-            grid: Grid::linear(recording.info(outputs[0]).spec.shape.elements(), 64),
-        });
+        let bindings = [
+            ("input", inputs[0]),
+            ("channel_gate", inputs[1]),
+            ("spatial_gate", inputs[2]),
+            ("output", outputs[0]),
+        ];
+        let grid = Grid::linear(recording.info(outputs[0]).spec.shape.elements(), 64);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }
 

@@ -60,7 +60,7 @@ pub fn check(gpu: &Arc<Gpu>, case: &Case) -> Result<Report> {
     let reference = case.op.reference(&inputs)?;
     let shader = run_op(gpu, case.op.as_ref(), &case.inputs, true)?;
     let bounds = case.op.tolerance(&inputs, &reference)?;
-    let defined = case.op.defined(&reference, &inputs);
+    let defined = case.op.defined(&reference.iter().collect::<Vec<_>>(), &inputs);
     let mut report = Report { max_error: 0.0, max_share: 0.0, failures: Vec::new() };
     for (i, name) in case.op.outputs().into_iter().enumerate() {
         let n = defined[i];
@@ -84,6 +84,7 @@ pub fn check(gpu: &Arc<Gpu>, case: &Case) -> Result<Report> {
 pub fn run_op(gpu: &Arc<Gpu>, op: &dyn Op, inputs: &[Value], guard: bool) -> Result<Vec<Value>> {
     let specs: Vec<_> = inputs.iter().map(Value::spec).collect();
     let out_specs = op.infer(&specs)?;
+    op.check_values(&inputs.iter().collect::<Vec<_>>())?;
     let mut recording = Recording::default();
     recording.begin_stage(op.name());
     let names = op.inputs();
@@ -133,8 +134,13 @@ fn compare(
                     Tolerance::Uniform(b) => *b,
                     Tolerance::Each(b) => b[i],
                 };
-                let same = g.to_bits() == w.to_bits() || g == w;
-                let error = if same { 0.0 } else { (f64::from(g) - f64::from(w)).abs() };
+                let error = match g.to_bits() == w.to_bits() {
+                    true => 0.0,
+                    // −0 is not 0 where bits count.
+                    false if *bound == Tolerance::Exact => f64::INFINITY,
+                    false if g == w => 0.0,
+                    false => (f64::from(g) - f64::from(w)).abs(),
+                };
                 (error, limit, format!("{g} instead of {w} ± {limit:.3e}"))
             }
             (Value::U32(g), Value::U32(w)) => {

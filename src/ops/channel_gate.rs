@@ -24,7 +24,15 @@ static SHADER: Shader = Shader {
 };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "channel_gate", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "channel_gate",
+    takes: "pooled [2, C], fc1_weight [R, C], fc1_bias [R], fc2_weight [C, R], fc2_bias [C]",
+    gives: "output [C]",
+    params: &[],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// Hidden units that fit in the shader's workgroup memory.
 const CAPACITY: usize = 1024;
@@ -84,14 +92,8 @@ impl Op for ChannelGate {
         let params = Params { channels: channels as u32, hidden: hidden as u32 };
         let mut bindings: Vec<_> = self.inputs().into_iter().zip(inputs.iter().copied()).collect();
         bindings.push(("output", outputs[0]));
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "main",
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings,
-            grid: Grid::Workgroups([1, 1, 1]),
-        });
+        let grid = Grid::Workgroups([1, 1, 1]);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }
 

@@ -24,7 +24,15 @@ static SHADER: Shader = Shader {
 };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "channel_pool", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "channel_pool",
+    takes: "input [C, H, W]",
+    gives: "output [2, C]",
+    params: &[],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// Average and maximum of each channel over space: what CBAM's channel gate looks at.
 ///
@@ -59,14 +67,9 @@ impl Op for ChannelPool {
     ) -> Result<()> {
         let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
         let params = Params { channels, area: height * width };
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "main",
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings: vec![("input", inputs[0]), ("output", outputs[0])],
-            grid: Grid::linear(channels as usize, 1),
-        });
+        let bindings = [("input", inputs[0]), ("output", outputs[0])];
+        let grid = Grid::linear(channels as usize, 1);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }
 

@@ -3,9 +3,10 @@
 use crate::cpu::{self, ConvShape};
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, MAX_WORKGROUPS, Recording, Shader, TensorId, shader_params};
+use crate::ops::bounds::{magnitude, sum_error};
 use crate::ops::case::{Case, random};
-use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect, expect_inputs};
-use crate::ops::params::Params as Named;
+use crate::ops::op::{Entry, Op, Tolerance, dims, expect, expect_inputs};
+use crate::ops::params::{Param, Params as Named};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -31,7 +32,20 @@ static SHADER: Shader =
     Shader { stem: "conv2d", source: include_str!("../../wgsl/conv2d.wgsl"), params: PARAMS };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "conv2d", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "conv2d",
+    takes: "input [I, H, W], weight [O, I, kh, kw]; optional: bias [O], residual [O, H', W']",
+    gives: "output [O, H', W']",
+    params: &[
+        Param::optional("stride", "1"),
+        Param::optional("padding", "0"),
+        Param::optional("dilation", "1"),
+        Param::optional("relu", "false"),
+    ],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// Largest stride, dilation and padding: far past any use, and safe in the shader's u32 arithmetic.
 const MAX_PARAM: usize = 4096;
@@ -152,12 +166,15 @@ impl Op for Conv2d {
         let weight = recording.constant(format!("{name} (packed)"), packed);
         let bias = recording.constant(format!("{name} (bias)"), padded);
         let tiles = (out_h * out_w).div_ceil(PIXELS as u32);
-        if tiles > MAX_WORKGROUPS {
-            return Err(Error::Capacity {
-                what: "conv2d: workgroups of 64 pixels".into(),
-                needed: tiles.into(),
-                available: MAX_WORKGROUPS.into(),
-            });
+        let groups = out_c.div_ceil(CHANNELS as u32);
+        for (what, needed) in [("pixels", tiles), ("channels", groups)] {
+            if needed > MAX_WORKGROUPS {
+                return Err(Error::Capacity {
+                    what: format!("conv2d: workgroups of 64 {what}"),
+                    needed: needed.into(),
+                    available: MAX_WORKGROUPS.into(),
+                });
+            }
         }
         let params = Params {
             in_channels: in_c,
@@ -174,21 +191,16 @@ impl Op for Conv2d {
             has_residual: u32::from(self.residual),
             relu: u32::from(self.relu),
         };
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "main",
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings: vec![
-                ("input", input),
-                ("weight", weight),
-                ("bias", bias),
-                // Any readable buffer serves where there is no residual: it is not read.
-                ("residual", *residual.unwrap_or(&input)),
-                ("output", outputs[0]),
-            ],
-            grid: Grid::Workgroups([tiles, out_c.div_ceil(CHANNELS as u32), 1]),
-        });
+        let bindings = [
+            ("input", input),
+            ("weight", weight),
+            ("bias", bias),
+            // Any readable buffer serves where there is no residual: it is not read.
+            ("residual", *residual.unwrap_or(&input)),
+            ("output", outputs[0]),
+        ];
+        let grid = Grid::Workgroups([tiles, groups, 1]);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }
 
@@ -205,10 +217,6 @@ impl Op for Conv2d {
     /// A sum of n products in any order, with or without fused multiply-adds, is at most
     /// n·ε·Σ|w||x| off (Higham, Accuracy and Stability, §3.1); bias and residual add two terms.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
-        let magnitude = |v: &Value| -> Result<Tensor> {
-            let t = v.f32()?;
-            Tensor::new(t.shape().clone(), t.data().iter().map(|x| x.abs()).collect())
-        };
         let (input, weight, bias, residual) = self.split(inputs);
         let bias = bias.map(|v| magnitude(v)).transpose()?;
         let residual = residual.map(|v| magnitude(v)).transpose()?;
@@ -216,9 +224,7 @@ impl Op for Conv2d {
         let terms = weight.dims()[1..].iter().product::<usize>() + 2;
         let sums =
             cpu::conv2d(&input, &weight, bias.as_ref(), residual.as_ref(), self.shape(), false);
-        // The subnormal floor: a driver may flush each product to zero.
-        let floor = terms as f64 * f64::from(f32::MIN_POSITIVE);
-        let each = sums.data().iter().map(|s| terms as f64 * EPS * f64::from(*s) + floor);
+        let each = sums.data().iter().map(|s| sum_error(terms, f64::from(*s)));
         Ok(vec![Tolerance::Each(each.collect())])
     }
 }

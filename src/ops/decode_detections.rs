@@ -7,7 +7,7 @@ use crate::ops::boxes::{decode_bound, row};
 use crate::ops::case::{Case, integers, random, random_boxes, values};
 use crate::ops::count::{expect_count, live};
 use crate::ops::op::{Entry, Op, Tolerance, dims, expect, expect_inputs};
-use crate::ops::params::Params as Named;
+use crate::ops::params::{Param, Params as Named};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -32,7 +32,19 @@ static SHADER: Shader = Shader {
 };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "decode_detections", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "decode_detections",
+    takes: "rois [R, 4], deltas [R, 4C], probabilities [R, C], count u32 [1]",
+    gives: "boxes [R(C - 1), 4], scores [R(C - 1)], classes u32 [R(C - 1)], count u32 [1]",
+    params: &[
+        Param::required("width", "320"),
+        Param::required("height", "320"),
+        Param::optional("class_mask", "4294967295"),
+    ],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// Classes that the mask has bits for.
 const MAX_CLASSES: usize = 32;
@@ -98,6 +110,13 @@ impl Op for DecodeDetections {
             let expected = "f32 [R, classes] with R above 0 and at least 2 classes";
             return Err(Error::tensor(name, "probabilities", expected, &inputs[2]));
         }
+        if classes > MAX_CLASSES {
+            return Err(Error::Capacity {
+                what: "classes in the class mask".into(),
+                needed: classes as u64,
+                available: MAX_CLASSES as u64,
+            });
+        }
         expect(name, "rois", &TensorSpec::f32([rois, 4]), &inputs[0])?;
         expect(name, "deltas", &TensorSpec::f32([rois, 4 * classes]), &inputs[1])?;
         expect_count(name, Some(&inputs[3]))?;
@@ -117,13 +136,6 @@ impl Op for DecodeDetections {
         outputs: &[TensorId],
     ) -> Result<()> {
         let [rois, classes] = [0, 1].map(|i| recording.dims(inputs[2])[i]);
-        if classes > MAX_CLASSES {
-            return Err(Error::Capacity {
-                what: "classes in the class mask".into(),
-                needed: classes as u64,
-                available: MAX_CLASSES as u64,
-            });
-        }
         let [weight_x, weight_y, weight_width, weight_height] = self.weights;
         let params = Params {
             rois: rois as u32,
@@ -136,15 +148,7 @@ impl Op for DecodeDetections {
             weight_width,
             weight_height,
         };
-        let dispatch = |entry, bindings, grid| Dispatch {
-            shader: &SHADER,
-            entry,
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings,
-            grid,
-        };
-        let decode = vec![
+        let bindings = [
             ("rois", inputs[0]),
             ("deltas", inputs[1]),
             ("probabilities", inputs[2]),
@@ -153,9 +157,11 @@ impl Op for DecodeDetections {
             ("scores", outputs[1]),
             ("classes", outputs[2]),
         ];
-        recording.dispatch(dispatch("decode", decode, Grid::linear(rois * (classes - 1), 64)));
-        let count = vec![("input_count", inputs[3]), ("output_count", outputs[3])];
-        recording.dispatch(dispatch("count", count, Grid::Workgroups([1, 1, 1])));
+        let grid = Grid::linear(rois * (classes - 1), 64);
+        recording.dispatch(Dispatch::new(&SHADER, "decode", &params, &bindings, grid));
+        let bindings = [("input_count", inputs[3]), ("output_count", outputs[3])];
+        let grid = Grid::Workgroups([1, 1, 1]);
+        recording.dispatch(Dispatch::new(&SHADER, "count", &params, &bindings, grid));
         Ok(())
     }
 
@@ -198,8 +204,8 @@ impl Op for DecodeDetections {
         Ok(vec![boxes, Tolerance::Exact, Tolerance::Exact, Tolerance::Exact])
     }
 
-    fn defined(&self, reference: &[Value], _inputs: &[&Value]) -> Vec<usize> {
-        let count = live(Some(&reference[3]), usize::MAX).unwrap_or(0);
+    fn defined(&self, reference: &[&Value], _inputs: &[&Value]) -> Vec<usize> {
+        let count = live(Some(reference[3]), usize::MAX).unwrap_or(0);
         vec![count * 4, count, count, 1]
     }
 }

@@ -7,7 +7,7 @@ use crate::ops::boxes::decode_bound;
 use crate::ops::case::{Case, integers, random, random_integers, values};
 use crate::ops::count::{expect_count, live};
 use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect, expect_inputs};
-use crate::ops::params::Params as Named;
+use crate::ops::params::{Param, Params as Named};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -30,7 +30,20 @@ static SHADER: Shader = Shader {
 };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "decode_proposals", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "decode_proposals",
+    takes: "deltas [4A, H, W], scores [K], indices u32 [K], count u32 [1]",
+    gives: "boxes [K, 4], scores [K]",
+    params: &[
+        Param::required("anchors", "-16,-16,16,16"),
+        Param::required("stride", "8"),
+        Param::required("width", "320"),
+        Param::required("height", "320"),
+    ],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// Boxes of the chosen anchors, clipped to the picture, and their objectness.
 ///
@@ -106,22 +119,17 @@ impl Op for DecodeProposals {
             picture_width: self.width as f32,
             picture_height: self.height as f32,
         };
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "main",
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings: vec![
-                ("deltas", inputs[0]),
-                ("logits", inputs[1]),
-                ("indices", inputs[2]),
-                ("count", inputs[3]),
-                ("anchors", anchors),
-                ("boxes", outputs[0]),
-                ("scores", outputs[1]),
-            ],
-            grid: Grid::linear(capacity, 64),
-        });
+        let bindings = [
+            ("deltas", inputs[0]),
+            ("logits", inputs[1]),
+            ("indices", inputs[2]),
+            ("count", inputs[3]),
+            ("anchors", anchors),
+            ("boxes", outputs[0]),
+            ("scores", outputs[1]),
+        ];
+        let grid = Grid::linear(capacity, 64);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }
 
@@ -134,7 +142,8 @@ impl Op for DecodeProposals {
         let mut boxes =
             cpu::decode_proposals(deltas, &indices.data()[..count], grid, extent).concat();
         boxes.resize(specs[0].shape.elements(), 0.0);
-        let score = |i: usize| if i < count { cpu::sigmoid(logits.data()[i]) } else { 0.0 };
+        let score =
+            |i: usize| if i < count { cpu::sigmoid(logits.data()[i].into()) as f32 } else { 0.0 };
         Ok(vec![
             Tensor::new(specs[0].shape.clone(), boxes)?.into(),
             Tensor::from_fn(specs[1].shape.clone(), score).into(),
@@ -159,7 +168,7 @@ impl Op for DecodeProposals {
         Ok(vec![Tolerance::Each(boxes.collect()), Tolerance::Each(sigmoids.collect())])
     }
 
-    fn defined(&self, _reference: &[Value], inputs: &[&Value]) -> Vec<usize> {
+    fn defined(&self, _reference: &[&Value], inputs: &[&Value]) -> Vec<usize> {
         let capacity = inputs[1].spec().shape.elements();
         let count = live(Some(inputs[3]), capacity).unwrap_or(0);
         vec![count * 4, count]

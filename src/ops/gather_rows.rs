@@ -25,7 +25,15 @@ static SHADER: Shader = Shader {
 };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "gather_rows", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "gather_rows",
+    takes: "rows [N] or [N, M], indices u32 [K], count u32 [1]",
+    gives: "output [K] or [K, M]",
+    params: &[],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// `output[i] = rows[indices[i]]` for each i below the count; the others are not written.
 ///
@@ -81,20 +89,15 @@ impl Op for GatherRows {
         let capacity = recording.dims(inputs[1])[0];
         let params =
             Params { rows: rows as u32, columns: columns as u32, capacity: capacity as u32 };
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "main",
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings: vec![
-                ("rows", inputs[0]),
-                ("indices", inputs[1]),
-                ("count", inputs[2]),
-                ("output", outputs[0]),
-            ],
-            // Not indirect: a copy costs less than the dispatch that would save it.
-            grid: Grid::linear(capacity * columns, 64),
-        });
+        let bindings = [
+            ("rows", inputs[0]),
+            ("indices", inputs[1]),
+            ("count", inputs[2]),
+            ("output", outputs[0]),
+        ];
+        // Not indirect: a copy costs less than the dispatch that would save it.
+        let grid = Grid::linear(capacity * columns, 64);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }
 
@@ -118,7 +121,7 @@ impl Op for GatherRows {
         Ok(vec![Tolerance::Exact])
     }
 
-    fn defined(&self, _reference: &[Value], inputs: &[&Value]) -> Vec<usize> {
+    fn defined(&self, _reference: &[&Value], inputs: &[&Value]) -> Vec<usize> {
         let (_, columns) = layout(&inputs[0].spec().shape.0).unwrap_or((1, 1));
         let capacity = inputs[1].spec().shape.elements();
         vec![live(Some(inputs[2]), capacity).unwrap_or(0) * columns]

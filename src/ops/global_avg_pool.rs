@@ -25,7 +25,15 @@ static SHADER: Shader = Shader {
 };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "global_avg_pool", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "global_avg_pool",
+    takes: "map0 [C0, H, W]; optional: map1, map2",
+    gives: "output [C0 + C1 + C2]",
+    params: &[],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// Average of each channel over space, PyTorch's `adaptive_avg_pool2d(1)`; of several maps side by
 /// side.
@@ -76,14 +84,9 @@ impl Op for GlobalAvgPool {
         for input in inputs {
             let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(*input)[i] as u32);
             let params = Params { channels, area: height * width, first };
-            recording.dispatch(Dispatch {
-                shader: &SHADER,
-                entry: "main",
-                constants: vec![],
-                params: bytemuck::bytes_of(&params).to_vec(),
-                bindings: vec![("input", *input), ("output", outputs[0])],
-                grid: Grid::linear(channels as usize, 1),
-            });
+            let bindings = [("input", *input), ("output", outputs[0])];
+            let grid = Grid::linear(channels as usize, 1);
+            recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
             first += channels;
         }
         Ok(())

@@ -6,7 +6,7 @@ use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, integers};
 use crate::ops::count::{expect_count, live};
 use crate::ops::op::{Entry, Op, Tolerance, expect_inputs};
-use crate::ops::params::Params as Named;
+use crate::ops::params::{Param, Params as Named};
 use crate::shape::TensorSpec;
 use crate::tensor::{Tensor, Value};
 
@@ -26,7 +26,20 @@ static SHADER: Shader = Shader {
 };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "indirect_grid", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "indirect_grid",
+    takes: "count u32 [1]",
+    gives: "grid u32 [3]",
+    params: &[
+        Param::required("capacity", "100"),
+        Param::optional("items_per_count", "1"),
+        Param::optional("workgroup_size", "64"),
+        Param::optional("layers", "1"),
+    ],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// Workgroups that cover `count · items_per_count` invocations.
 ///
@@ -65,6 +78,14 @@ impl Op for IndirectGrid {
             }
         }
         expect_count(self.name(), Some(&inputs[0]))?;
+        let items = (self.capacity as u64).saturating_mul(self.items_per_count.into());
+        if items > u64::from(u32::MAX) {
+            return Err(Error::Capacity {
+                what: format!("invocations of one dispatch for a count of {}", self.capacity),
+                needed: items,
+                available: u64::from(u32::MAX),
+            });
+        }
         Ok(vec![TensorSpec::u32([3])])
     }
 
@@ -74,28 +95,15 @@ impl Op for IndirectGrid {
         inputs: &[TensorId],
         outputs: &[TensorId],
     ) -> Result<()> {
-        let items = self.capacity as u64 * u64::from(self.items_per_count);
-        if items > u64::from(u32::MAX) {
-            return Err(Error::Capacity {
-                what: format!("invocations of one dispatch for a count of {}", self.capacity),
-                needed: items,
-                available: u64::from(u32::MAX),
-            });
-        }
         let params = Params {
             capacity: self.capacity as u32,
             items_per_count: self.items_per_count,
             workgroup_size: self.workgroup_size,
             layers: self.layers,
         };
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "main",
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings: vec![("count", inputs[0]), ("grid", outputs[0])],
-            grid: Grid::Workgroups([1, 1, 1]),
-        });
+        let bindings = [("count", inputs[0]), ("grid", outputs[0])];
+        let grid = Grid::Workgroups([1, 1, 1]);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }
 
@@ -135,6 +143,7 @@ impl IndirectGrid {
         recording: &mut Recording,
         count: TensorId,
     ) -> Result<TensorId> {
+        self.infer(&[recording.info(count).spec.clone()])?;
         let grid = recording.scratch("grid", TensorSpec::u32([3]));
         self.record(recording, &[count], &[grid])?;
         Ok(grid)

@@ -8,7 +8,7 @@ use crate::ops::case::{Case, integers, random, values};
 use crate::ops::count::{count_tensor, expect_count, live, row_grid};
 use crate::ops::indirect_grid::IndirectGrid;
 use crate::ops::op::{Entry, Op, Tolerance, dims, expect, expect_inputs};
-use crate::ops::params::Params as Named;
+use crate::ops::params::{Param, Params as Named};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -28,7 +28,15 @@ static SHADER: Shader =
     Shader { stem: "linear", source: include_str!("../../wgsl/linear.wgsl"), params: PARAMS };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "linear", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "linear",
+    takes: "input [N, K], weight [O, K], bias [O]; optional: count u32 [1]",
+    gives: "output [N, O]",
+    params: &[Param::optional("relu", "false")],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// Rows that one workgroup computes.
 const ROWS: usize = 8;
@@ -116,28 +124,21 @@ impl Op for Linear {
             slice_quads: slice_quads as u32,
             relu: u32::from(self.relu),
         };
-        let dispatch = |entry, bindings, grid| Dispatch {
-            shader: &SHADER,
-            entry,
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings,
-            grid,
-        };
 
         let mut input = inputs[0];
         if inner % 4 != 0 {
             let padded = recording.scratch("padded", TensorSpec::f32([rows, inner_quads * 4]));
-            recording.dispatch(dispatch(
-                "pad",
-                vec![("count", count), ("unpadded", input), ("padded", padded)],
-                Grid::linear(rows * inner_quads * 4, LANES as u32),
-            ));
+            let bindings = [("count", count), ("unpadded", input), ("padded", padded)];
+            let grid = Grid::linear(rows * inner_quads * 4, LANES as u32);
+            recording.dispatch(Dispatch::new(&SHADER, "pad", &params, &bindings, grid));
             input = padded;
         }
         let layers = (columns * slices) as u32;
         let tiles = match given {
-            None => Grid::Workgroups([rows.div_ceil(ROWS) as u32, 1, layers]),
+            None => match Grid::linear(rows, ROWS as u32) {
+                Grid::Workgroups([x, y, _]) => Grid::Workgroups([x, y, layers]),
+                other => other,
+            },
             Some(count) => {
                 let grid = IndirectGrid {
                     capacity: rows,
@@ -148,17 +149,13 @@ impl Op for Linear {
                 Grid::Indirect(grid.record_scratch(recording, count)?)
             }
         };
-        recording.dispatch(dispatch(
-            "partial",
-            vec![("count", count), ("input", input), ("weight", packed), ("partials", partials)],
-            tiles,
-        ));
+        let bindings =
+            [("count", count), ("input", input), ("weight", packed), ("partials", partials)];
+        recording.dispatch(Dispatch::new(&SHADER, "partial", &params, &bindings, tiles));
         let grid = row_grid(recording, given, rows, quads, LANES as u32)?;
-        recording.dispatch(dispatch(
-            "finish",
-            vec![("count", count), ("partials", partials), ("bias", bias), ("output", outputs[0])],
-            grid,
-        ));
+        let bindings =
+            [("count", count), ("partials", partials), ("bias", bias), ("output", outputs[0])];
+        recording.dispatch(Dispatch::new(&SHADER, "finish", &params, &bindings, grid));
         Ok(())
     }
 
@@ -183,7 +180,7 @@ impl Op for Linear {
         Ok(vec![Tolerance::Each(each)])
     }
 
-    fn defined(&self, reference: &[Value], inputs: &[&Value]) -> Vec<usize> {
+    fn defined(&self, reference: &[&Value], inputs: &[&Value]) -> Vec<usize> {
         let shape = reference[0].spec().shape;
         let rows = live(inputs.get(3).copied(), shape.0[0]).unwrap_or(0);
         vec![rows * shape.0[1]]
@@ -239,6 +236,7 @@ fn cases() -> Vec<Case> {
         ("fc7", vec![100, 512], 512, Some(13), true),
         ("nothing counted", vec![5, 10], 4, Some(0), false),
         ("counted above all", vec![5, 12], 6, Some(u32::MAX), false),
+        ("a grid folded to two dimensions", vec![524_289, 1], 1, None, false),
     ];
     for (seed, (name, shape, outputs, count, relu)) in sets.into_iter().enumerate() {
         let seed = seed as u64 * 10;

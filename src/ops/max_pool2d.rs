@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect_inputs, map_dims};
-use crate::ops::params::Params as Named;
+use crate::ops::params::{Param, Params as Named};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
@@ -29,7 +29,19 @@ static SHADER: Shader = Shader {
 };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "max_pool2d", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "max_pool2d",
+    takes: "input [C, H, W]",
+    gives: "output [C, H', W']",
+    params: &[
+        Param::required("kernel", "3"),
+        Param::optional("stride", "kernel"),
+        Param::optional("padding", "0"),
+    ],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// PyTorch's `max_pool2d` with square windows; the padding is minus infinity.
 ///
@@ -99,14 +111,9 @@ impl Op for MaxPool2d {
             stride: self.stride as u32,
             padding: self.padding as u32,
         };
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "main",
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings: vec![("input", inputs[0]), ("output", outputs[0])],
-            grid: Grid::linear(recording.info(outputs[0]).spec.shape.elements(), 64),
-        });
+        let bindings = [("input", inputs[0]), ("output", outputs[0])];
+        let grid = Grid::linear(recording.info(outputs[0]).spec.shape.elements(), 64);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }
 
@@ -129,6 +136,7 @@ fn build(params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
 
 fn cases() -> Vec<Case> {
     let op = |kernel, stride, padding| MaxPool2d { kernel, stride, padding };
+    let nan = f32::NAN;
     let mut cases = vec![
         Case::new(
             "2x2 by hand",
@@ -143,6 +151,13 @@ fn cases() -> Vec<Case> {
             vec![values([1, 3, 3], &[-1.0, -2.0, -3.0, -4.0, -9.0, -6.0, -7.0, -8.0, -5.0])],
         )
         .by_hand(vec![values([1, 2, 2], &[-1.0, -2.0, -4.0, -5.0])]),
+        // As PyTorch's: an overflow must reach the outputs, where the host looks for it.
+        Case::new(
+            "a NaN stays, wherever it is in its window",
+            op(2, 2, 0),
+            vec![values([1, 2, 6], &[nan, 9.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 3.0, nan, 3.0, 4.0])],
+        )
+        .by_hand(vec![values([1, 1, 3], &[nan, nan, 4.0])]),
     ];
     let shapes = [
         ("one pixel", op(1, 1, 0), [1, 1, 1]),

@@ -48,7 +48,7 @@ pub use linear::Linear;
 pub use max_pool2d::MaxPool2d;
 pub use nms::Nms;
 pub use op::{Entry, Op, Tolerance};
-pub use params::Params;
+pub use params::{Param, Params};
 pub use roi_align::RoiAlign;
 pub use scale_weights::ScaleWeights;
 pub use softmax::Softmax;

@@ -7,7 +7,7 @@ use crate::ops::boxes::row;
 use crate::ops::case::{Case, integers, random, random_boxes, random_integers, values};
 use crate::ops::count::{count_tensor, expect_count, live};
 use crate::ops::op::{Entry, Op, Tolerance, dims, expect, expect_inputs};
-use crate::ops::params::Params as Named;
+use crate::ops::params::{Param, Params as Named};
 use crate::ops::top_k::TopK;
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
@@ -29,7 +29,21 @@ static SHADER: Shader =
     Shader { stem: "nms", source: include_str!("../../wgsl/nms.wgsl"), params: PARAMS };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "nms", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "nms",
+    takes: "boxes [N, 4], scores [N], N at most 1024 on a GPU; optional: classes u32 [N], count u32 [1]",
+    gives: "keep u32 [min(N, max_out)], count u32 [1]",
+    params: &[
+        Param::optional("iou_threshold", "0.5"),
+        Param::optional("max_out", "1024"),
+        Param::optional("min_score", "-inf"),
+        Param::optional("min_size", "0"),
+        Param::optional("sorted", "false"),
+    ],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// Boxes that the shader's one workgroup can scan.
 const MAX_BOXES: usize = 1024;
@@ -169,38 +183,27 @@ impl Op for Nms {
             has_classes: u32::from(self.classes),
             zero: 0,
         };
-        let params = bytemuck::bytes_of(&params).to_vec();
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "mask",
-            constants: vec![],
-            params: params.clone(),
-            bindings: vec![
-                ("boxes", boxes),
-                // Any readable buffer serves where there are no classes: it is not read.
-                ("classes", *classes.unwrap_or(&order)),
-                ("order", order),
-                ("input_count", count),
-                ("suppressed", suppressed),
-            ],
-            grid: Grid::linear(n * words, 64),
-        });
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "scan",
-            constants: vec![],
-            params,
-            bindings: vec![
-                ("boxes", boxes),
-                ("scores", scores),
-                ("order", order),
-                ("input_count", count),
-                ("suppressed", suppressed),
-                ("keep", outputs[0]),
-                ("output_count", outputs[1]),
-            ],
-            grid: Grid::Workgroups([1, 1, 1]),
-        });
+        let bindings = [
+            ("boxes", boxes),
+            // Any readable buffer serves where there are no classes: it is not read.
+            ("classes", *classes.unwrap_or(&order)),
+            ("order", order),
+            ("input_count", count),
+            ("suppressed", suppressed),
+        ];
+        let grid = Grid::linear(n * words, 64);
+        recording.dispatch(Dispatch::new(&SHADER, "mask", &params, &bindings, grid));
+        let bindings = [
+            ("boxes", boxes),
+            ("scores", scores),
+            ("order", order),
+            ("input_count", count),
+            ("suppressed", suppressed),
+            ("keep", outputs[0]),
+            ("output_count", outputs[1]),
+        ];
+        let grid = Grid::Workgroups([1, 1, 1]);
+        recording.dispatch(Dispatch::new(&SHADER, "scan", &params, &bindings, grid));
         Ok(())
     }
 
@@ -230,8 +233,8 @@ impl Op for Nms {
         Ok(vec![Tolerance::Exact; 2])
     }
 
-    fn defined(&self, reference: &[Value], _inputs: &[&Value]) -> Vec<usize> {
-        vec![live(Some(&reference[1]), usize::MAX).unwrap_or(0), 1]
+    fn defined(&self, reference: &[&Value], _inputs: &[&Value]) -> Vec<usize> {
+        vec![live(Some(reference[1]), usize::MAX).unwrap_or(0), 1]
     }
 }
 

@@ -5,7 +5,7 @@ use std::fmt::Debug;
 use crate::error::{Error, Result};
 use crate::gpu::{Recording, Shader, TensorId};
 use crate::ops::case::Case;
-use crate::ops::params::Params;
+use crate::ops::params::{Param, Params};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
@@ -43,6 +43,14 @@ pub trait Op: Debug + Send + Sync {
     /// As [`Op::infer`].
     fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>>;
 
+    /// Checks values that the shader takes on trust.
+    ///
+    /// # Errors
+    /// [`Error::Tensor`] or [`Error::Capacity`].
+    fn check_values(&self, _inputs: &[&Value]) -> Result<()> {
+        Ok(())
+    }
+
     /// How far the shader's outputs may be from the reference's: a bound with a reason, by output.
     ///
     /// # Errors
@@ -51,7 +59,7 @@ pub trait Op: Debug + Send + Sync {
 
     /// How many leading elements of each output are defined, where a count on the device decides;
     /// what lies behind them is neither written nor compared.
-    fn defined(&self, reference: &[Value], _inputs: &[&Value]) -> Vec<usize> {
+    fn defined(&self, reference: &[&Value], _inputs: &[&Value]) -> Vec<usize> {
         reference.iter().map(|v| v.spec().shape.elements()).collect()
     }
 }
@@ -78,6 +86,12 @@ pub type Build = fn(&mut Params, &[&str]) -> Result<Box<dyn Op>>;
 pub struct Entry {
     /// Stem of the operation's files.
     pub name: &'static str,
+    /// Its inputs with their shapes (f32 where nothing else is said), for people.
+    pub takes: &'static str,
+    /// Its outputs, likewise.
+    pub gives: &'static str,
+    /// The parameters that [`Entry::build`] takes.
+    pub params: &'static [Param],
     /// Its shader.
     pub shader: &'static Shader,
     /// Builds the operation for a command line.

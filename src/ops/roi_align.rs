@@ -7,7 +7,7 @@ use crate::ops::boxes::row;
 use crate::ops::case::{Case, integers, random, random_boxes, values};
 use crate::ops::count::{count_tensor, expect_count, live, row_grid};
 use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect_inputs};
-use crate::ops::params::Params as Named;
+use crate::ops::params::{Param, Params as Named};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -27,7 +27,19 @@ static SHADER: Shader =
     Shader { stem: "roi_align", source: include_str!("../../wgsl/roi_align.wgsl"), params: PARAMS };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "roi_align", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "roi_align",
+    takes: "features [C, H, W], boxes [N, 4]; optional: count u32 [1]",
+    gives: "output [N, C, output_size, output_size]",
+    params: &[
+        Param::required("spatial_scale", "0.125"),
+        Param::required("output_size", "7"),
+        Param::optional("sampling_ratio", "2"),
+    ],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// `torchvision.ops.roi_align` with `aligned=True`, which is not torchvision's default: boxes are
 /// shifted by half a feature, so that they lie where the picture's pixels are.
@@ -115,19 +127,13 @@ impl Op for RoiAlign {
             ratio: self.sampling_ratio as u32,
             scale: self.spatial_scale,
         };
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "main",
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings: vec![
-                ("features", inputs[0]),
-                ("boxes", inputs[1]),
-                ("count", count),
-                ("output", outputs[0]),
-            ],
-            grid,
-        });
+        let bindings = [
+            ("features", inputs[0]),
+            ("boxes", inputs[1]),
+            ("count", count),
+            ("output", outputs[0]),
+        ];
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }
 
@@ -183,7 +189,7 @@ impl Op for RoiAlign {
         Ok(vec![Tolerance::Each(each)])
     }
 
-    fn defined(&self, reference: &[Value], inputs: &[&Value]) -> Vec<usize> {
+    fn defined(&self, reference: &[&Value], inputs: &[&Value]) -> Vec<usize> {
         let shape = reference[0].spec().shape;
         let rois = live(inputs.get(2).copied(), shape.0[0]).unwrap_or(0);
         vec![rois * shape.0[1..].iter().product::<usize>()]

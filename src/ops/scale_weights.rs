@@ -26,7 +26,15 @@ static SHADER: Shader = Shader {
 };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "scale_weights", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "scale_weights",
+    takes: "pooled [N], fc1_weight [M, N], fc1_bias [M], fc2_weight [K, M], fc2_bias [K]",
+    gives: "output [K]",
+    params: &[],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// Hidden units that fit in the shader's workgroup memory.
 const CAPACITY: usize = 1024;
@@ -94,14 +102,8 @@ impl Op for ScaleWeights {
         let params = Params { inputs: length as u32, hidden: hidden as u32, scales: scales as u32 };
         let mut bindings: Vec<_> = self.inputs().into_iter().zip(inputs.iter().copied()).collect();
         bindings.push(("output", outputs[0]));
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "main",
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings,
-            grid: Grid::Workgroups([1, 1, 1]),
-        });
+        let grid = Grid::Workgroups([1, 1, 1]);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }
 

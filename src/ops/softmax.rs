@@ -21,7 +21,15 @@ static SHADER: Shader =
     Shader { stem: "softmax", source: include_str!("../../wgsl/softmax.wgsl"), params: PARAMS };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "softmax", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "softmax",
+    takes: "input [N, C]; optional: count u32 [1]",
+    gives: "output [N, C]",
+    params: &[],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// Invocations of the workgroup that computes a row.
 const LANES: u32 = 64;
@@ -72,15 +80,9 @@ impl Op for Softmax {
         let given = inputs.get(1).copied();
         let count = count_tensor(recording, given, rows);
         let grid = row_grid(recording, given, rows, LANES as usize, LANES)?;
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "main",
-            constants: vec![],
-            params: bytemuck::bytes_of(&Params { rows: rows as u32, columns: columns as u32 })
-                .to_vec(),
-            bindings: vec![("input", inputs[0]), ("count", count), ("output", outputs[0])],
-            grid,
-        });
+        let bindings = [("input", inputs[0]), ("count", count), ("output", outputs[0])];
+        let params = Params { rows: rows as u32, columns: columns as u32 };
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }
 
@@ -120,7 +122,7 @@ impl Op for Softmax {
         Ok(vec![Tolerance::Each(each.collect())])
     }
 
-    fn defined(&self, reference: &[Value], inputs: &[&Value]) -> Vec<usize> {
+    fn defined(&self, reference: &[&Value], inputs: &[&Value]) -> Vec<usize> {
         let shape = reference[0].spec().shape;
         vec![live(inputs.get(1).copied(), shape.0[0]).unwrap_or(0) * shape.0[1]]
     }

@@ -24,7 +24,15 @@ static SHADER: Shader = Shader {
 };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "spatial_gate", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "spatial_gate",
+    takes: "pooled [2, H, W], weight [1, 2, 7, 7], bias [1]",
+    gives: "output [1, H, W]",
+    params: &[],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// Pixels of a row that one invocation computes.
 const PIXELS: usize = 4;
@@ -69,19 +77,14 @@ impl Op for SpatialGate {
     ) -> Result<()> {
         let [height, width] = [1, 2].map(|i| recording.dims(inputs[0])[i]);
         let params = Params { height: height as u32, width: width as u32 };
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "main",
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings: vec![
-                ("pooled", inputs[0]),
-                ("weight", inputs[1]),
-                ("bias", inputs[2]),
-                ("output", outputs[0]),
-            ],
-            grid: Grid::linear(height * width.div_ceil(PIXELS), 64),
-        });
+        let bindings = [
+            ("pooled", inputs[0]),
+            ("weight", inputs[1]),
+            ("bias", inputs[2]),
+            ("output", outputs[0]),
+        ];
+        let grid = Grid::linear(height * width.div_ceil(PIXELS), 64);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }
 

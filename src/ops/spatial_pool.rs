@@ -24,7 +24,15 @@ static SHADER: Shader = Shader {
 };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "spatial_pool", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "spatial_pool",
+    takes: "input [C, H, W], channel_gate [C]",
+    gives: "output [2, H, W]",
+    params: &[],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// Pixels that one workgroup computes.
 const PIXELS: usize = 32;
@@ -64,18 +72,9 @@ impl Op for SpatialPool {
     ) -> Result<()> {
         let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
         let params = Params { channels, area: height * width };
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "main",
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings: vec![
-                ("input", inputs[0]),
-                ("channel_gate", inputs[1]),
-                ("output", outputs[0]),
-            ],
-            grid: Grid::linear(params.area as usize, PIXELS as u32),
-        });
+        let bindings = [("input", inputs[0]), ("channel_gate", inputs[1]), ("output", outputs[0])];
+        let grid = Grid::linear(params.area as usize, PIXELS as u32);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }
 

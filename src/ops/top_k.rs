@@ -6,7 +6,7 @@ use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, integers, random, random_integers, values};
 use crate::ops::count::{count_tensor, expect_count, live};
 use crate::ops::op::{Entry, Op, Tolerance, expect_inputs};
-use crate::ops::params::Params as Named;
+use crate::ops::params::{Param, Params as Named};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -23,7 +23,15 @@ static SHADER: Shader =
     Shader { stem: "top_k", source: include_str!("../../wgsl/top_k.wgsl"), params: PARAMS };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "top_k", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "top_k",
+    takes: "scores [N] or [C, H, W]; optional: count u32 [1]",
+    gives: "values [K], indices u32 [K], count u32 [1]",
+    params: &[Param::required("k", "1000")],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// Pairs that the shader sorts in workgroup memory.
 const MAX_K: usize = 1024;
@@ -111,20 +119,15 @@ impl Op for TopK {
             k: k as u32,
             sort_size: k.next_power_of_two() as u32,
         };
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "main",
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings: vec![
-                ("scores", inputs[0]),
-                ("input_count", count),
-                ("values", outputs[0]),
-                ("indices", outputs[1]),
-                ("output_count", outputs[2]),
-            ],
-            grid: Grid::Workgroups([1, 1, 1]),
-        });
+        let bindings = [
+            ("scores", inputs[0]),
+            ("input_count", count),
+            ("values", outputs[0]),
+            ("indices", outputs[1]),
+            ("output_count", outputs[2]),
+        ];
+        let grid = Grid::Workgroups([1, 1, 1]);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }
 
@@ -150,8 +153,8 @@ impl Op for TopK {
         Ok(vec![Tolerance::Exact; 3])
     }
 
-    fn defined(&self, reference: &[Value], _inputs: &[&Value]) -> Vec<usize> {
-        let count = live(Some(&reference[2]), usize::MAX).unwrap_or(0);
+    fn defined(&self, reference: &[&Value], _inputs: &[&Value]) -> Vec<usize> {
+        let count = live(Some(reference[2]), usize::MAX).unwrap_or(0);
         vec![count, count, 1]
     }
 }

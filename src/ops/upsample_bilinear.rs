@@ -6,7 +6,7 @@ use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{magnitude, sum_error};
 use crate::ops::case::{Case, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect_inputs, map_dims};
-use crate::ops::params::Params as Named;
+use crate::ops::params::{Param, Params as Named};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
@@ -27,7 +27,15 @@ static SHADER: Shader = Shader {
 };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "upsample_bilinear", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "upsample_bilinear",
+    takes: "input [C, H, W]",
+    gives: "output [C, out_height, out_width]",
+    params: &[Param::required("out_height", "40"), Param::required("out_width", "40")],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// Longest edge: the shader's positions, twice the product of two, stay below 2³².
 const MAX_EDGE: usize = 32_768;
@@ -88,14 +96,9 @@ impl Op for UpsampleBilinear {
             out_height: self.out_height as u32,
             out_width: self.out_width as u32,
         };
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "main",
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings: vec![("input", inputs[0]), ("output", outputs[0])],
-            grid: Grid::linear(recording.info(outputs[0]).spec.shape.elements(), 64),
-        });
+        let bindings = [("input", inputs[0]), ("output", outputs[0])];
+        let grid = Grid::linear(recording.info(outputs[0]).spec.shape.elements(), 64);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }
 

@@ -24,7 +24,15 @@ static SHADER: Shader = Shader {
 };
 
 /// This operation in [`crate::ops::OPS`].
-pub static ENTRY: Entry = Entry { name: "weighted_sum", shader: &SHADER, build, cases };
+pub static ENTRY: Entry = Entry {
+    name: "weighted_sum",
+    takes: "weights [K], map0 [C, H, W]; optional: map1 to map4",
+    gives: "output [C, H, W]",
+    params: &[],
+    shader: &SHADER,
+    build,
+    cases,
+};
 
 /// The maps by name. With the weights and the output they take seven of the eight storage buffers
 /// that a stage has.
@@ -89,14 +97,8 @@ impl Op for WeightedSum {
             bindings.push((name, *inputs.get(k + 1).unwrap_or(&inputs[1])));
         }
         bindings.push(("output", outputs[0]));
-        recording.dispatch(Dispatch {
-            shader: &SHADER,
-            entry: "main",
-            constants: vec![],
-            params: bytemuck::bytes_of(&params).to_vec(),
-            bindings,
-            grid: Grid::linear(elements, 64),
-        });
+        let grid = Grid::linear(elements, 64);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }
 

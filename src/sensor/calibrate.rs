@@ -158,6 +158,10 @@ fn read_presses(folder: &Path, background: &RgbImage) -> Result<Vec<Press>, Erro
         let (Ok(x), Ok(y), Ok(radius)) = (x.parse(), y.parse(), radius.parse::<u32>()) else {
             return Err(bad(&path, wanted, line));
         };
+        let inside = |at: f64, side: u32| (0.0..f64::from(side)).contains(&at);
+        if !inside(x, background.width()) || !inside(y, background.height()) {
+            return Err(bad(&path, "a centre inside the picture", line));
+        }
         if !(1..=67).contains(&radius) {
             return Err(bad(&path, "a contact radius of 1 to 67 pixels (the ball's own)", line));
         }
@@ -379,6 +383,13 @@ pub fn read_sensors(folder: &Path) -> Result<Vec<MeasuredSensor>, Error> {
         .map(|entry| entry.map(|entry| entry.path()).map_err(Error::io(folder)))
         .collect::<Result<_, _>>()?;
     files.retain(|file| file.extension().is_some_and(|e| e == "yaml"));
+    if files.is_empty() {
+        return Err(Error::Content {
+            path: folder.to_owned(),
+            expected: "calibration files (*.yaml)".to_owned(),
+            found: "none".to_owned(),
+        });
+    }
     files.sort();
     files.iter().map(|file| read_sensor(file)).collect()
 }

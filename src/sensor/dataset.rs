@@ -129,26 +129,33 @@ fn label_path(folder: &Path, index: usize) -> PathBuf {
 fn check_origin(settings: &Settings) -> Result<(), Error> {
     let path = settings.out.join("origin.json");
     let wanted = Origin { seed: settings.seed, kind: settings.mix, simulator: SIMULATOR };
+    let other = |expected: &Origin, found: String| Error::OtherDataset {
+        path: settings.out.clone(),
+        expected: show(expected),
+        found,
+    };
     if !path.exists() {
+        let images = settings.out.join("images");
+        let is_empty = fs::read_dir(&images).is_ok_and(|mut files| files.next().is_none());
+        if settings.out.join("annotations.json").exists() || images.exists() && !is_empty {
+            return Err(other(&wanted, "another program".into()));
+        }
         return write_json(&path, &wanted);
     }
     let found: Origin = read_json(&path)?;
     if found == wanted {
         return Ok(());
     }
-    let show = |o: &Origin| {
-        let kind = match o.kind {
-            Mix::A => "a",
-            Mix::B => "b",
-            Mix::Mixed => "mixed",
-        };
-        format!("seed {}, kind {kind}, simulator {}", o.seed, o.simulator)
+    Err(other(&wanted, show(&found)))
+}
+
+fn show(origin: &Origin) -> String {
+    let kind = match origin.kind {
+        Mix::A => "a",
+        Mix::B => "b",
+        Mix::Mixed => "mixed",
     };
-    Err(Error::OtherDataset {
-        path: settings.out.clone(),
-        expected: show(&wanted),
-        found: show(&found),
-    })
+    format!("seed {}, kind {kind}, simulator {}", origin.seed, origin.simulator)
 }
 
 /// Writes under another name, then renames: a file is whole or not there.

@@ -1,7 +1,7 @@
 use crate::support::check_op;
 use smr_gpu::gpu::{Recording, Role};
 use smr_gpu::ops::{Linear, Op};
-use smr_gpu::shape::TensorSpec;
+use smr_gpu::shape::{Extent, TensorSpec};
 
 #[test]
 fn shader_matches_reference_and_hand() {
@@ -27,7 +27,8 @@ fn refuses_what_does_not_fit() {
     assert!(message.contains("`count`") && message.contains("u32[1]"), "{message}");
 
     let mut recording = Recording::default();
-    let inputs = specs(&[4, 6], 2, 1).map(|s| recording.tensor("in", s, Role::Input));
+    let inputs =
+        specs(&[4, 6], 2, 1).map(|s| recording.tensor("in", s, Role::Input(Extent::Exact)));
     let output = recording.scratch("out", TensorSpec::f32([4, 2]));
     let message =
         op.record(&mut recording, &inputs, &[output]).expect_err("no weights").to_string();

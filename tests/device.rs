@@ -76,6 +76,41 @@ fn a_time_limit_is_a_typed_error_and_leaves_the_plan_usable() {
     }
 }
 
+/// One thread's wait may run another's callbacks: each thread must still get its own values, and
+/// none may take a callback that another runs for a time limit that ran out.
+#[test]
+fn threads_share_a_device() {
+    use smr_gpu::ops::{MaxPool2d, Op};
+    use smr_gpu::shape::Extent;
+    use smr_gpu::tensor::{Tensor, Value};
+    const THREADS: usize = 8;
+    const RUNS: usize = 200;
+    let gpu = open(|_| ()).expect("an adapter");
+    let thread = |index: usize| {
+        let mut recording = Recording::default();
+        let input =
+            recording.tensor("input", TensorSpec::f32([1, 4, 4]), Role::Input(Extent::Exact));
+        let output = recording.tensor("output", TensorSpec::f32([1, 2, 2]), Role::Output);
+        let op = MaxPool2d { kernel: 2, stride: 2, padding: 0 };
+        op.record(&mut recording, &[input], &[output]).expect("a recording");
+        let plan = Plan::new(&gpu, &recording, PlanOptions::default());
+        let mut plan = pollster::block_on(plan).expect("a plan");
+        for run in 0..RUNS {
+            let value = (index * RUNS + run) as f32;
+            let given = Value::from(Tensor::from_fn([1, 4, 4], |_| value));
+            let ran = plan.run(&[(input, &given)]).expect("a run");
+            let pooled = Value::from(Tensor::from_fn([1, 2, 2], |_| value));
+            assert_eq!(ran.values[&output], pooled, "thread {index}, run {run}");
+        }
+    };
+    std::thread::scope(|scope| {
+        for index in 0..THREADS {
+            let thread = &thread;
+            scope.spawn(move || thread(index));
+        }
+    });
+}
+
 /// Programs with an executor of their own move the future between threads.
 #[test]
 fn the_detector_and_its_future_can_be_sent() {

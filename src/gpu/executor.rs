@@ -326,7 +326,7 @@ impl Plan {
             }
         }
         let gpu = self.gpu.clone();
-        pollster::block_on(gpu.scoped("running the network", || {
+        let submission = pollster::block_on(gpu.scoped("running the network", || {
             for (slot, poison) in &self.computed {
                 gpu.queue.write_buffer(&self.buffers[*slot], 0, poison);
             }
@@ -335,10 +335,10 @@ impl Plan {
                     gpu.queue.write_buffer(&self.buffers[slot], 0, value.bytes());
                 }
             }
-            gpu.queue.submit([self.encode()]);
-            Ok(())
+            Ok(gpu.queue.submit([self.encode()]))
         }))?;
-        let bytes = readback::read(&gpu, &self.staging, self.staging_bytes, "the network")?;
+        let bytes =
+            readback::read(&gpu, &self.staging, self.staging_bytes, submission, "the network")?;
         let values = self.collect(&bytes)?;
         Ok(RunOutput { values, stages: self.stage_times(&bytes), wall: start.elapsed() })
     }

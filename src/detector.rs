@@ -488,7 +488,7 @@ fn check_finite(network: &Network, values: &Values) -> Result<()> {
             true => proposals * tensor.dims().iter().skip(1).product::<usize>(),
             false => tensor.data().len(),
         };
-        let count = tensor.data()[..live].iter().filter(|v| !v.is_finite()).count() as u64;
+        let count = tensor.data().iter().take(live).filter(|v| !v.is_finite()).count() as u64;
         if count > 0 {
             let stage = network.graph.name(witness.tensor).into();
             return Err(Error::NotFinite { stage, count });

@@ -471,6 +471,7 @@ fn snaps_have_their_features() {
 #[test]
 fn scenes_follow_their_rules() {
     let mut empty = 0;
+    let mut untouched = 0;
     let mut kinds = BTreeMap::new();
     for seed in 0..400 {
         let scene = Scene::sample(seed, Mix::Mixed);
@@ -487,7 +488,12 @@ fn scenes_follow_their_rules() {
         let only = Scene::sample(seed, Mix::A);
         assert!(!only.snaps.is_empty() && only.snaps.iter().all(|s| s.part.kind() == Kind::A));
         assert_eq!(scene, Scene::sample(seed, Mix::Mixed));
+        let other = Scene::sample(seed, Mix::None);
+        assert!(other.snaps.is_empty());
+        untouched += usize::from(other.distractors.is_empty());
     }
+    // 1 in 10: 40 of 400, standard deviation 6.
+    assert!((10..=70).contains(&untouched), "{untouched} scenes touch nothing");
     // 8 in 100 are empty: 32 of 400, standard deviation 5.4.
     assert!((10..=54).contains(&empty), "{empty} scenes are empty");
     let (a, b) = (kinds["A"], kinds["B"]);
@@ -512,6 +518,7 @@ fn every_snap_that_shows_is_labelled() {
             let fill = label.area_px / ((x1 - x0) * (y1 - y0));
             assert!((0.02..0.95).contains(&fill), "{fill} of the box touches");
         }
+        assert!(renderer.render(seed, Mix::None).expect("a picture").labels.is_empty());
     }
 }
 

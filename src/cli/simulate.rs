@@ -44,6 +44,8 @@ enum Kind {
     B,
     /// Both kinds, several or none.
     Mixed,
+    /// No snaps: other things, or an untouched gel.
+    None,
 }
 
 impl From<Kind> for Mix {
@@ -52,6 +54,7 @@ impl From<Kind> for Mix {
             Kind::A => Self::A,
             Kind::B => Self::B,
             Kind::Mixed => Self::Mixed,
+            Kind::None => Self::None,
         }
     }
 }

@@ -154,6 +154,7 @@ fn show(origin: &Origin) -> String {
         Mix::A => "a",
         Mix::B => "b",
         Mix::Mixed => "mixed",
+        Mix::None => "none",
     };
     format!("seed {}, kind {kind}, simulator {}", origin.seed, origin.simulator)
 }

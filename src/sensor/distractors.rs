@@ -114,6 +114,12 @@ impl Distractor {
         }
     }
 
+    /// Draws a pin that ends in a half sphere.
+    pub fn ball(rng: &mut Pcg64) -> Self {
+        let radius = rng.random_range(1.5..12.0);
+        Self::Pin { radius, fillet: radius }
+    }
+
     fn lettering(rng: &mut Pcg64) -> Self {
         let count = rng.random_range(1..=5);
         let height: f64 = rng.random_range(2.5..6.0);

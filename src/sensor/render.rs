@@ -175,7 +175,7 @@ impl Renderer {
         let camera = Camera { blur_px: rng.random_range(0.6..2.2), ..Camera::default() };
         for _ in 0..ATTEMPTS {
             let scene = Scene::sample(rng.random_range(0..u64::MAX), mix);
-            if mix != Mix::Mixed && scene.snaps.is_empty() {
+            if matches!(mix, Mix::A | Mix::B) && scene.snaps.is_empty() {
                 continue;
             }
             let body = scene.body(GRID);

@@ -55,6 +55,8 @@ pub enum Mix {
     B,
     /// Both kinds, or none.
     Mixed,
+    /// No snaps: other things, balls among them, or an untouched gel.
+    None,
 }
 
 /// Everything that touches the gel.
@@ -82,6 +84,7 @@ impl Scene {
         let mut scene = Self { snaps: Vec::new(), distractors: Vec::new() };
         let count = match rng.random_range(0..100) {
             0..8 if mix == Mix::Mixed => 0,
+            _ if mix == Mix::None => 0,
             0..60 => 1,
             60..84 => 2,
             84..95 => 3,
@@ -92,13 +95,18 @@ impl Scene {
                 Mix::A => Kind::A,
                 Mix::B => Kind::B,
                 Mix::Mixed if rng.random_bool(0.5) => Kind::A,
-                Mix::Mixed => Kind::B,
+                Mix::Mixed | Mix::None => Kind::B,
             };
             scene.add_snap(rng, kind);
         }
-        let count = if rng.random_bool(0.5) { rng.random_range(1..=3) } else { 0 };
+        let touched = if mix == Mix::None { 0.9 } else { 0.5 };
+        let count = if rng.random_bool(touched) { rng.random_range(1..=3) } else { 0 };
         for _ in 0..count {
-            scene.add_distractor(rng);
+            let part = match mix {
+                Mix::None if rng.random_bool(0.3) => Distractor::ball(rng),
+                _ => Distractor::sample(rng),
+            };
+            scene.add_distractor(rng, part);
         }
         scene
     }
@@ -124,8 +132,7 @@ impl Scene {
         }
     }
 
-    fn add_distractor(&mut self, rng: &mut Pcg64) {
-        let part = Distractor::sample(rng);
+    fn add_distractor(&mut self, rng: &mut Pcg64, part: Distractor) {
         let half = part.half_size();
         for _ in 0..30 {
             let center_mm = match half {

@@ -23,7 +23,6 @@ def main() -> None:
     parser.add_argument("--picture", type=Path, required=True)
     parser.add_argument("--size", type=int, help="resize to this many pixels, a multiple of 32; the file's input size by default")
     parser.add_argument("--pooled", type=int, default=4, help="how many proposals of roi_head.pool to keep")
-    parser.add_argument("--skip", nargs="*", default=[], help="stages to leave out, for a smaller file")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
     model = weightfile.load(args.weights, torch.float64)
@@ -39,8 +38,6 @@ def main() -> None:
     stages["roi_head.pool"] = stages["roi_head.pool"][: args.pooled]
     stored = {}
     for name, tensor in stages.items():
-        if name in args.skip:
-            continue
         # One picture: the batch dimension goes.
         tensor = tensor[0] if tensor.ndim == 4 and name != "roi_head.pool" or name == "reweight.weights" else tensor
         stored[name] = tensor.to(torch.float32 if tensor.is_floating_point() else torch.int32).contiguous().clone()

@@ -85,18 +85,22 @@ def figures(truths: list, detections: list, mm_per_pixel: float, conf: float) ->
         int(((d["scores"] >= conf) & (box_iou(d["boxes"], t["boxes"]).amax(dim=1) < 0.5 if len(t["boxes"]) else d["scores"] >= conf)).sum())
         for t, d in zip(truths, detections)
     )
+
+    def average(values) -> float:
+        return float(np.mean(values)) if np.size(values) else float("nan")
+
     for name, labels in [*((c, [i]) for i, c in enumerate(CLASSES, start=1)), ("all", list(gathered))]:
         overlaps = [v for i in labels for v in gathered[i][0]]
         errors = [v for i in labels for v in gathered[i][1]]
         precision = None
         if evaluation is not None:
             # [IoU threshold, recall, class, area range, most detections]
-            precision = evaluation.eval["precision"][:, :, [i - 1 for i in labels], 0, -1]
+            precision = evaluation.eval["precision"][:, :, [i - 1 for i in labels if gathered[i][0]], 0, -1]
         rows[name] = {
             "count": len(overlaps),
-            "iou": float(np.mean(overlaps)) if overlaps else float("nan"),
-            "ap50": float(precision[0].mean()) if precision is not None else 0.0,
-            "ap50_95": float(precision.mean()) if precision is not None else 0.0,
+            "iou": average(overlaps),
+            "ap50": average(precision[:1]) if precision is not None else 0.0,
+            "ap50_95": average(precision) if precision is not None else 0.0,
             "centre_median_mm": float(np.median(errors)) if errors else float("nan"),
             "centre_p95_mm": float(np.percentile(errors, 95)) if errors else float("nan"),
         }

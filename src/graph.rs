@@ -175,10 +175,7 @@ impl Graph {
         for (index, tensor) in self.tensors.iter().enumerate() {
             let Source::Input(extent) = tensor.source else { continue };
             let given = inputs.iter().find(|(id, _)| id.0 == index).map(|(_, v)| v.spec());
-            if !given.as_ref().is_some_and(|given| extent.admits(&tensor.spec, given)) {
-                let got = given.map_or("nothing".into(), |s| s.to_string());
-                return Err(Error::tensor("reference", &tensor.name, &tensor.spec, got));
-            }
+            extent.check("reference", &tensor.name, &tensor.spec, given)?;
         }
         let mut values: HashMap<TensorId, Value> = HashMap::new();
         let mut last_use = vec![0; self.tensors.len()];

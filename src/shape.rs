@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use crate::error::{Error, Result};
+
 /// Dimensions of a dense row-major tensor, outermost first.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Default)]
 pub struct Shape(pub Vec<usize>);
@@ -92,6 +94,24 @@ impl Extent {
             _ => spec.shape == given.shape,
         };
         fits && spec.dtype == given.dtype
+    }
+
+    /// Checks what the run `stage` was given for its input `name`, recorded as `spec`.
+    ///
+    /// # Errors
+    /// [`Error::Tensor`] if it is missing or does not fit.
+    pub(crate) fn check(
+        self,
+        stage: &str,
+        name: &str,
+        spec: &TensorSpec,
+        given: Option<TensorSpec>,
+    ) -> Result<()> {
+        match given {
+            Some(given) if self.admits(spec, &given) => Ok(()),
+            Some(given) => Err(Error::tensor(stage, name, spec, given)),
+            None => Err(Error::tensor(stage, name, spec, "nothing")),
+        }
     }
 }
 

@@ -315,10 +315,7 @@ impl Plan {
         self.gpu.check_lost()?;
         for (id, (info, extent)) in &self.inputs {
             let given = inputs.iter().find(|(i, _)| i == id).map(|(_, v)| v.spec());
-            if !given.as_ref().is_some_and(|given| extent.admits(&info.spec, given)) {
-                let got = given.map_or("nothing".into(), |s| s.to_string());
-                return Err(Error::tensor("run", &info.name, &info.spec, got));
-            }
+            extent.check("run", &info.name, &info.spec, given)?;
         }
         for (id, value) in inputs {
             if !self.inputs.contains_key(id) {

@@ -94,7 +94,7 @@ impl Scene {
             let kind = match mix {
                 Mix::A => Kind::A,
                 Mix::B => Kind::B,
-                Mix::Mixed if rng.random_bool(0.5) => Kind::A,
+                Mix::Mixed | Mix::None if rng.random_bool(0.5) => Kind::A,
                 Mix::Mixed | Mix::None => Kind::B,
             };
             scene.add_snap(rng, kind);

@@ -15,24 +15,29 @@ use crate::tensor::Value;
 
 /// One operation with what it reads and writes.
 #[derive(Debug)]
-struct Node {
-    op: Box<dyn Op>,
-    inputs: Vec<TensorId>,
-    outputs: Vec<TensorId>,
-    stage: usize,
+pub(crate) struct Node {
+    pub op: Arc<dyn Op>,
+    pub inputs: Vec<TensorId>,
+    pub outputs: Vec<TensorId>,
+    /// Its stage's place in [`Graph::stages`].
+    pub stage: usize,
 }
 
 #[derive(Debug)]
-struct GraphTensor {
-    name: String,
-    spec: TensorSpec,
-    source: Source,
+pub(crate) struct GraphTensor {
+    pub name: String,
+    pub spec: TensorSpec,
+    pub source: Source,
 }
 
+/// Where a tensor's values come from.
 #[derive(Debug)]
-enum Source {
+pub(crate) enum Source {
+    /// The host, for each run.
     Input(Extent),
+    /// Known now.
     Constant(Arc<Value>),
+    /// A node.
     Computed,
 }
 
@@ -77,6 +82,19 @@ impl Graph {
         op: impl Op + 'static,
         inputs: &[TensorId],
     ) -> Result<Vec<TensorId>> {
+        self.apply_shared(name, Arc::new(op), inputs)
+    }
+
+    /// [`Graph::apply`] for an operation that others hold too.
+    ///
+    /// # Errors
+    /// As [`Graph::apply`].
+    pub fn apply_shared(
+        &mut self,
+        name: &str,
+        op: Arc<dyn Op>,
+        inputs: &[TensorId],
+    ) -> Result<Vec<TensorId>> {
         let specs: Vec<_> = inputs.iter().map(|id| self.spec(*id).clone()).collect();
         let out_specs = op.infer(&specs)?;
         let names = op.outputs();
@@ -93,7 +111,7 @@ impl Graph {
             self.begin_stage("all");
         }
         self.nodes.push(Node {
-            op: Box::new(op),
+            op,
             inputs: inputs.to_vec(),
             outputs: outputs.clone(),
             stage: self.stages.len() - 1,
@@ -246,6 +264,21 @@ impl Graph {
                 value.truncate(rows);
             }
         }
+    }
+
+    /// The operations, in order.
+    pub(crate) fn nodes(&self) -> &[Node] {
+        &self.nodes
+    }
+
+    /// The tensors, by id.
+    pub(crate) fn tensors(&self) -> &[GraphTensor] {
+        &self.tensors
+    }
+
+    /// The tensors that a run gives back.
+    pub(crate) fn outputs(&self) -> &[TensorId] {
+        &self.outputs
     }
 
     /// The names of the stages, in order.

@@ -26,6 +26,7 @@
 //! | [`gpu`] | the device, shaders and their reflection, recordings, plans; alone to name wgpu |
 //! | [`ops`] | each operation: parameters, shape check, dispatches, error bound, cases |
 //! | [`graph`] | operations over named tensors, recorded for the GPU or walked on the CPU |
+//! | [`host`] | the graph in f32 on this machine's CPU, for machines without an adapter |
 //! | [`model`] | SMR-Net's stages, its configuration and its weights |
 //! | [`comparison`] | the whole network on a device, stage by stage, against the f64 reference |
 //! | [`detector`] | [`GpuDetector`] |
@@ -49,6 +50,7 @@ pub mod detector;
 pub mod error;
 pub mod gpu;
 pub mod graph;
+pub mod host;
 pub mod metrics;
 pub mod model;
 pub mod ops;

@@ -41,7 +41,7 @@ pub fn crop_resize(
     mean: [f32; 3],
     std: [f32; 3],
 ) -> Tensor {
-    let filters: Vec<_> = (0..size).map(|i| filter(i, size, crop.side)).collect();
+    let filters: Vec<_> = (0..size).map(|i| triangle_filter(i, size, crop.side)).collect();
     let mut rows = vec![[0.0; 3]; size * size];
     rows.par_chunks_mut(size.max(1)).zip(&filters).for_each(|(out, (first, weights))| {
         let mut line = vec![[0.0; 3]; crop.side];
@@ -70,7 +70,7 @@ pub fn crop_resize(
 }
 
 /// The first pixel that output `i` of `size` sees in `side` pixels, and the weight of each from it.
-fn filter(i: usize, size: usize, side: usize) -> (usize, Vec<f64>) {
+pub fn triangle_filter(i: usize, size: usize, side: usize) -> (usize, Vec<f64>) {
     let scale = side as f64 / size as f64;
     let support = scale.max(1.0);
     let centre = (i as f64 + 0.5) * scale;

@@ -29,7 +29,7 @@ pub use apply_gates::apply_gates;
 pub use channel_gate::channel_gate;
 pub use channel_pool::channel_pool;
 pub use conv2d::{ConvShape, conv2d};
-pub use crop_resize::{Crop, crop_resize};
+pub use crop_resize::{Crop, crop_resize, triangle_filter};
 pub use decode_detections::{DetectionRule, decode_detections};
 pub use decode_proposals::{AnchorGrid, decode_proposals};
 pub use gather_rows::gather_rows;

@@ -18,7 +18,7 @@ pub struct Case {
     /// What is special about it.
     pub name: String,
     /// The operation with its parameters.
-    pub op: Box<dyn Op>,
+    pub op: Arc<dyn Op>,
     /// Input tensors in the operation's order.
     pub inputs: Vec<Value>,
     /// The outputs, computed by hand from the definition; `None` to trust the reference.
@@ -28,7 +28,7 @@ pub struct Case {
 impl Case {
     /// A case that is compared with the CPU reference.
     pub fn new(name: impl Into<String>, op: impl Op + 'static, inputs: Vec<Value>) -> Self {
-        Self { name: name.into(), op: Box::new(op), inputs, by_hand: None }
+        Self { name: name.into(), op: Arc::new(op), inputs, by_hand: None }
     }
 
     /// The same with outputs computed by hand, to which the reference is held too.

@@ -93,7 +93,7 @@ impl Crop {
     ///
     /// # Errors
     /// As [`Crop::to_tensor`].
-    fn from_tensor(words: &Tensor<u32>, capacity: usize) -> Result<Self> {
+    pub(crate) fn from_tensor(words: &Tensor<u32>, capacity: usize) -> Result<Self> {
         let [width, height, x, y, side] = [0, 1, 2, 3, 4].map(|i| words.data()[i] as usize);
         let crop = Self { width, height, x, y, side };
         crop.to_tensor(capacity).map(|_| crop)
@@ -102,7 +102,7 @@ impl Crop {
 
 impl CropResize {
     /// The mean of each channel as a whole number of 8-bit levels, and what is left of it in [0, 1].
-    fn shift(&self) -> [(u8, f64); 3] {
+    pub(crate) fn shift(&self) -> [(u8, f64); 3] {
         self.mean.map(|mean| {
             let level = (f64::from(mean) * 255.0).round().clamp(0.0, 255.0) as u8;
             (level, f64::from(mean) - f64::from(level) / 255.0)

@@ -1,5 +1,6 @@
 //! What every operation offers: the trait that binds a shader to its CPU reference.
 
+use std::any::Any;
 use std::fmt::Debug;
 
 use crate::error::{Error, Result};
@@ -10,7 +11,7 @@ use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
 /// One operation with its parameters.
-pub trait Op: Debug + Send + Sync {
+pub trait Op: Any + Debug + Send + Sync {
     /// Stem of the operation's files.
     fn name(&self) -> &'static str;
 

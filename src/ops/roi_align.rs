@@ -59,7 +59,8 @@ pub struct RoiAlign {
 }
 
 impl RoiAlign {
-    fn grid(&self) -> RoiGrid {
+    /// The grid of samples.
+    pub(crate) fn grid(&self) -> RoiGrid {
         RoiGrid {
             scale: f64::from(self.spatial_scale),
             size: self.output_size,

@@ -1,0 +1,239 @@
+//! 2-D convolution on channels-last maps: Winograd where it pays, else im2col, both over a matrix
+//! product.
+
+use rayon::prelude::*;
+
+use super::gemm::{multiply, vectorised};
+use super::kernel::{Data, Kernel};
+use super::winograd::Winograd;
+use crate::ops::Conv2d;
+use crate::shape::TensorSpec;
+use crate::tensor::Tensor;
+
+/// Floats of an im2col tile: half of a common second-level cache.
+const TILE: usize = 128 * 1024;
+/// Output pixels from which threads share the pixels; below it they share the channels.
+const MANY_PIXELS: usize = 512;
+
+/// A convolution with its weights packed.
+#[derive(Debug)]
+pub(super) struct Convolution {
+    op: Conv2d,
+    shape: MapShape,
+    algorithm: Algorithm,
+    epilogue: Epilogue,
+}
+
+/// Sizes of a convolution's maps and kernel.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MapShape {
+    pub in_c: usize,
+    pub in_h: usize,
+    pub in_w: usize,
+    pub out_c: usize,
+    pub out_h: usize,
+    pub out_w: usize,
+    pub kh: usize,
+    pub kw: usize,
+}
+
+impl MapShape {
+    /// Output pixels.
+    pub fn pixels(&self) -> usize {
+        self.out_h * self.out_w
+    }
+
+    /// Products in one output.
+    pub fn terms(&self) -> usize {
+        self.in_c * self.kh * self.kw
+    }
+}
+
+#[derive(Debug)]
+enum Algorithm {
+    /// Weights `[kh, kw, I, O]`.
+    Im2col(Vec<f32>),
+    Winograd(Winograd),
+}
+
+/// What happens to a finished sum.
+#[derive(Debug)]
+pub(super) struct Epilogue {
+    bias: Vec<f32>,
+    relu: bool,
+}
+
+impl Epilogue {
+    /// `out[o] = relu(sums[o] + bias[o] (+ residual[o]))` for the channels from `first`; NaN stays.
+    #[inline(always)]
+    pub fn apply(&self, out: &mut [f32], sums: &[f32], first: usize, residual: Option<&[f32]>) {
+        let bias = &self.bias[first..][..out.len()];
+        let relu = |x: f32| if self.relu && x < 0.0 { 0.0 } else { x };
+        match residual {
+            Some(residual) => {
+                for (((out, sum), bias), r) in out.iter_mut().zip(sums).zip(bias).zip(residual) {
+                    *out = relu(sum + bias + r);
+                }
+            }
+            None => {
+                for ((out, sum), bias) in out.iter_mut().zip(sums).zip(bias) {
+                    *out = relu(sum + bias);
+                }
+            }
+        }
+    }
+}
+
+impl Convolution {
+    /// Packs the weights of `op` for an input of this shape.
+    pub fn new(
+        op: Conv2d,
+        input: &TensorSpec,
+        output: &TensorSpec,
+        weight: &Tensor,
+        bias: Option<&Tensor>,
+    ) -> Self {
+        let [out_c, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
+        let [in_h, in_w] = [1, 2].map(|i| input.shape.0[i]);
+        let [out_h, out_w] = [1, 2].map(|i| output.shape.0[i]);
+        let shape = MapShape { in_c, in_h, in_w, out_c, out_h, out_w, kh, kw };
+        let bias = bias.map_or_else(|| vec![0.0; out_c], |b| b.data().to_vec());
+        let algorithm = match Winograd::fits(&op, &shape) {
+            true => Algorithm::Winograd(Winograd::new(shape, weight)),
+            false => Algorithm::Im2col(channels_last(weight)),
+        };
+        Self { op, shape, algorithm, epilogue: Epilogue { bias, relu: op.relu } }
+    }
+
+    /// Whether the input itself is the matrix of im2col.
+    fn is_pointwise(&self) -> bool {
+        let Conv2d { stride, padding, .. } = self.op;
+        self.shape.kh * self.shape.kw == 1 && stride == 1 && padding == 0
+    }
+
+    fn im2col(&self, weight: &[f32], input: &[f32], residual: Option<&[f32]>, output: &mut [f32]) {
+        let MapShape { out_c, .. } = self.shape;
+        let (pixels, terms) = (self.shape.pixels(), self.shape.terms());
+        let residual = |first: usize, count: usize| {
+            residual.map(|r| &r[first * out_c..(first + count) * out_c])
+        };
+        if pixels >= MANY_PIXELS {
+            let tile = (TILE / terms).clamp(16, 512).min(pixels);
+            let scratch = || (vec![0.0; tile * terms], vec![0.0; tile * out_c]);
+            output.par_chunks_mut(tile * out_c).enumerate().for_each_init(
+                scratch,
+                |(columns, sums), (index, output)| {
+                    let (first, count) = (index * tile, output.len() / out_c);
+                    let rows = if self.is_pointwise() {
+                        &input[first * terms..(first + count) * terms]
+                    } else {
+                        self.gather(input, first, &mut columns[..count * terms]);
+                        &columns[..count * terms]
+                    };
+                    multiply(sums, weight, out_c, rows, [out_c, count, terms]);
+                    vectorised(|| {
+                        self.epilogue_of(output, sums, 0, out_c, residual(first, count));
+                    });
+                },
+            );
+            return;
+        }
+        let columns = if self.is_pointwise() {
+            Vec::new()
+        } else {
+            let mut columns = vec![0.0; pixels * terms];
+            let tile = pixels.div_ceil(rayon::current_num_threads()).max(1);
+            columns
+                .par_chunks_mut(tile * terms)
+                .enumerate()
+                .for_each(|(i, part)| self.gather(input, i * tile, part));
+            columns
+        };
+        let rows = if self.is_pointwise() { input } else { &columns };
+        // Each thread reads its own weights alone.
+        let part = out_c.div_ceil(rayon::current_num_threads()).next_multiple_of(16);
+        let mut sums = vec![0.0; pixels * out_c];
+        sums.par_chunks_mut(pixels * part).enumerate().for_each(|(i, sums)| {
+            let (first, count) = (i * part, sums.len() / pixels);
+            multiply(sums, &weight[first..], out_c, rows, [count, pixels, terms]);
+        });
+        vectorised(|| {
+            for (i, sums) in sums.chunks(pixels * part).enumerate() {
+                let count = sums.len() / pixels;
+                self.epilogue_of(output, sums, i * part, count, residual(0, pixels));
+            }
+        });
+    }
+
+    /// The epilogue for the channels from `first`, `count` of each pixel in `sums`.
+    #[inline(always)]
+    fn epilogue_of(
+        &self,
+        output: &mut [f32],
+        sums: &[f32],
+        first: usize,
+        count: usize,
+        residual: Option<&[f32]>,
+    ) {
+        let out_c = self.shape.out_c;
+        for (pixel, sums) in sums.chunks_exact(count).enumerate().take(output.len() / out_c) {
+            let at = pixel * out_c + first;
+            let residual = residual.map(|r| &r[at..at + count]);
+            self.epilogue.apply(&mut output[at..at + count], sums, first, residual);
+        }
+    }
+
+    /// The inputs of each output pixel from `first` side by side, `[pixels][kh, kw, I]`.
+    fn gather(&self, input: &[f32], first: usize, columns: &mut [f32]) {
+        let MapShape { in_c, in_h, in_w, out_w, kh, kw, .. } = self.shape;
+        let Conv2d { stride, padding, dilation, .. } = self.op;
+        for (i, column) in columns.chunks_exact_mut(self.shape.terms()).enumerate() {
+            let (oy, ox) = ((first + i) / out_w, (first + i) % out_w);
+            for (tap, to) in column.chunks_exact_mut(in_c).enumerate() {
+                let (ky, kx) = (tap / kw, tap % kw);
+                // Wraps below zero to a large number, so that one comparison finds both sides.
+                let y = (oy * stride + ky * dilation).wrapping_sub(padding);
+                let x = (ox * stride + kx * dilation).wrapping_sub(padding);
+                match y < in_h && x < in_w {
+                    true => to.copy_from_slice(&input[(y * in_w + x) * in_c..][..in_c]),
+                    false => to.fill(0.0),
+                }
+            }
+            debug_assert_eq!(column.len(), kh * kw * in_c);
+        }
+    }
+}
+
+/// `[O, I, kh, kw]` to `[kh, kw, I, O]`.
+fn channels_last(weight: &Tensor) -> Vec<f32> {
+    let [out_c, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
+    let taps = kh * kw;
+    let mut packed = Vec::with_capacity(weight.data().len());
+    for tap in 0..taps {
+        for i in 0..in_c {
+            packed.extend((0..out_c).map(|o| weight.data()[(o * in_c + i) * taps + tap]));
+        }
+    }
+    packed
+}
+
+impl Kernel for Convolution {
+    fn packed(&self) -> &'static [usize] {
+        if self.op.bias { &[1, 2] } else { &[1] }
+    }
+
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+        let input = inputs[0].f32()?;
+        let residual = match self.op.residual {
+            true => Some(inputs[2 + usize::from(self.op.bias)].f32()?),
+            false => None,
+        };
+        match &self.algorithm {
+            Algorithm::Im2col(weight) => self.im2col(weight, input, residual, outputs[0]),
+            Algorithm::Winograd(kernel) => {
+                kernel.run(input, residual, &self.epilogue, outputs[0]);
+            }
+        }
+        Ok(())
+    }
+}

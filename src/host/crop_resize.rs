@@ -1,0 +1,72 @@
+//! Crop, resize and normalisation of a picture: rows, then columns, four channels at a time.
+
+use rayon::prelude::*;
+
+use super::gemm::vectorised;
+use super::kernel::{Data, Kernel};
+use crate::cpu::{Crop, triangle_filter};
+use crate::ops::CropResize;
+use crate::tensor::Tensor;
+
+/// Bytes of a packed pixel; the last, alpha, is ignored.
+const RGBA: usize = 4;
+
+/// Crop and resize to `[S, S, 3]`.
+#[derive(Debug)]
+pub(super) struct Resize {
+    pub op: CropResize,
+}
+
+impl Kernel for Resize {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+        let (picture, words) = (inputs[0].u32()?, inputs[1].u32()?);
+        let words = Tensor::new([words.len()], words.to_vec())?;
+        let crop = Crop::from_tensor(&words, picture.len())?;
+        let size = self.op.size;
+        let filters: Vec<(usize, Vec<f32>)> = (0..size)
+            .map(|i| {
+                let (first, weights) = triangle_filter(i, size, crop.side);
+                (first, weights.into_iter().map(|w| w as f32).collect())
+            })
+            .collect();
+        let bytes: &[u8] = bytemuck::cast_slice(picture);
+        // Levels are summed as differences from the mean's whole level, which are exact: what is
+        // left of the mean is small, so little cancels.
+        let shift = self.op.shift();
+        let level: [f32; RGBA] =
+            std::array::from_fn(|c| shift.get(c).map_or(0.0, |(level, _)| f32::from(*level)));
+        let scale = self.op.std.map(|s| (1.0 / (255.0 * f64::from(s))) as f32);
+        let rest: [f32; 3] =
+            std::array::from_fn(|c| (shift[c].1 / f64::from(self.op.std[c])) as f32);
+        outputs[0].par_chunks_mut(size * 3).zip(&filters).for_each_init(
+            || vec![0.0f32; crop.side * RGBA],
+            |line, (out, (first, weights))| {
+                vectorised(|| {
+                    line.fill(0.0);
+                    for (j, weight) in weights.iter().enumerate() {
+                        let start = ((crop.y + first + j) * crop.width + crop.x) * RGBA;
+                        let row = &bytes[start..][..crop.side * RGBA];
+                        for (sums, pixel) in line.chunks_exact_mut(RGBA).zip(row.chunks_exact(RGBA)) {
+                            for c in 0..RGBA {
+                                sums[c] += weight * (f32::from(pixel[c]) - level[c]);
+                            }
+                        }
+                    }
+                    for (out, (first, weights)) in out.chunks_exact_mut(3).zip(&filters) {
+                        let mut sum = [0.0f32; RGBA];
+                        let pixels = line[first * RGBA..].chunks_exact(RGBA);
+                        for (weight, pixel) in weights.iter().zip(pixels) {
+                            for (sum, x) in sum.iter_mut().zip(pixel) {
+                                *sum += weight * x;
+                            }
+                        }
+                        for c in 0..3 {
+                            out[c] = sum[c] * scale[c] - rest[c];
+                        }
+                    }
+                });
+            },
+        );
+        Ok(())
+    }
+}

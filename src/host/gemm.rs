@@ -1,0 +1,53 @@
+//! Matrix products, and vector code for the widest registers that the CPU has.
+
+/// `dst[j · O + i] = Σ weights[k · stride + i] · rows[j · K + k]`: N rows of K values times K rows of
+/// O weights, of which `weights` may be a part of `stride` columns. On the calling thread.
+pub(super) fn multiply(
+    dst: &mut [f32],
+    weights: &[f32],
+    stride: usize,
+    rows: &[f32],
+    [o, n, k]: [usize; 3],
+) {
+    if o == 0 || n == 0 {
+        return;
+    }
+    if k == 0 {
+        dst[..n * o].fill(0.0);
+        return;
+    }
+    assert!(o <= stride && dst.len() >= n * o && rows.len() >= n * k);
+    assert!(weights.len() >= (k - 1) * stride + o);
+    // SAFETY: the product reads weights[k' · stride + i] and rows[j · K + k'] and writes
+    // dst[j · O + i] for i < O, j < N, k' < K, which the assertions keep inside the slices; `dst` is
+    // borrowed mutably, so it overlaps neither.
+    unsafe {
+        gemm::gemm(
+            o,
+            n,
+            k,
+            dst.as_mut_ptr(),
+            o as isize,
+            1,
+            false,
+            weights.as_ptr(),
+            stride as isize,
+            1,
+            rows.as_ptr(),
+            k as isize,
+            1,
+            0.0f32,
+            1.0f32,
+            false,
+            false,
+            false,
+            gemm::Parallelism::None,
+        );
+    }
+}
+
+/// Runs `work` compiled for the widest registers that this CPU has.
+#[inline]
+pub(super) fn vectorised<R>(work: impl FnOnce() -> R) -> R {
+    pulp::Arch::new().dispatch(work)
+}

@@ -1,0 +1,88 @@
+//! A fully connected layer on the rows that there are.
+
+use rayon::prelude::*;
+
+use super::gemm::multiply;
+use super::kernel::{Data, Kernel, Layout, map_sizes};
+use crate::ops::Linear;
+use crate::shape::TensorSpec;
+use crate::tensor::Tensor;
+
+/// Weights `[K, O]`, where K is in the order of channels-last maps.
+#[derive(Debug)]
+pub(super) struct FullyConnected {
+    op: Linear,
+    rows: usize,
+    /// How a row lies.
+    layout: Layout,
+    weight: Vec<f32>,
+    bias: Vec<f32>,
+}
+
+impl FullyConnected {
+    /// Packs the weights of `op` for an input of this shape.
+    pub fn new(op: Linear, input: &TensorSpec, weight: &Tensor, bias: &Tensor) -> Self {
+        let [outputs, inner] = [0, 1].map(|i| weight.dims()[i]);
+        // Where a row is a map [C, H, W], it comes as [H, W, C].
+        let (layout, channels, pixels) = match map_sizes(input) {
+            Some((_, channels, pixels)) if input.shape.rank() == 4 => {
+                (Layout::ChannelsLast, channels, pixels)
+            }
+            _ => (Layout::Planar, inner, 1),
+        };
+        let mut packed = Vec::with_capacity(outputs * inner);
+        for pixel in 0..pixels {
+            for channel in 0..channels {
+                let k = channel * pixels + pixel;
+                packed.extend((0..outputs).map(|o| weight.data()[o * inner + k]));
+            }
+        }
+        let rows = input.shape.0[0];
+        Self { op, rows, layout, weight: packed, bias: bias.data().to_vec() }
+    }
+}
+
+impl Kernel for FullyConnected {
+    fn input_layout(&self, _index: usize) -> Layout {
+        self.layout
+    }
+
+    fn output_layout(&self) -> Layout {
+        Layout::Planar
+    }
+
+    fn packed(&self) -> &'static [usize] {
+        &[1, 2]
+    }
+
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+        let input = inputs[0].f32()?;
+        let rows = match self.op.count {
+            true => self.rows.min(inputs[3].u32()?[0] as usize),
+            false => self.rows,
+        };
+        let outputs_a_row = self.bias.len();
+        let inner = self.weight.len() / outputs_a_row;
+        let input = &input[..rows * inner];
+        // Each thread reads its own weights alone.
+        let part = outputs_a_row.div_ceil(rayon::current_num_threads()).next_multiple_of(16);
+        let mut sums = vec![0.0; rows * outputs_a_row];
+        sums.par_chunks_mut((rows * part).max(1)).enumerate().for_each(|(i, sums)| {
+            let count = sums.len() / rows;
+            let weight = &self.weight[i * part..];
+            multiply(sums, weight, outputs_a_row, input, [count, rows, inner]);
+        });
+        for (i, sums) in sums.chunks((rows * part).max(1)).enumerate() {
+            let (first, count) = (i * part, sums.len() / rows);
+            let bias = &self.bias[first..][..count];
+            for (row, sums) in sums.chunks_exact(count).enumerate() {
+                let to = &mut outputs[0][row * outputs_a_row + first..][..count];
+                for ((to, sum), bias) in to.iter_mut().zip(sums).zip(bias) {
+                    let value = sum + bias;
+                    *to = if self.op.relu && value < 0.0 { 0.0 } else { value };
+                }
+            }
+        }
+        Ok(())
+    }
+}

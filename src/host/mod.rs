@@ -1,0 +1,174 @@
+//! The network in f32 on this machine's CPU, for machines without an adapter.
+//!
+//! A [`HostPlan`] is a [`Graph`](crate::graph::Graph) made ready: each operation by a kernel with
+//! its weights packed, each tensor in a buffer that is reused when it is dead. Maps lie with a
+//! pixel's channels side by side, so that a convolution is a matrix product over them; where a
+//! kernel wants the other order, the plan puts a conversion.
+//!
+//! | file | what it computes |
+//! |---|---|
+//! | `conv2d`, `winograd`, `linear`, `gemm` | convolutions and fully connected layers, as matrix products |
+//! | `crop_resize` | the network's input |
+//! | `pooling`, `maps` | CBAM's poolings and gates, the largest in windows, interpolation, weighted sums |
+//! | `roi_align` | features of each box |
+//! | `reference` | everything else, which is small: as [`crate::cpu`] does |
+//!
+//! It knows no GPU. Results are within the bounds to which a shader is held, but not bit for bit
+//! those of another machine: the matrix product chooses its order by the CPU.
+
+mod conv2d;
+mod crop_resize;
+mod gemm;
+mod kernel;
+mod linear;
+mod maps;
+mod plan;
+mod pooling;
+mod reference;
+mod roi_align;
+mod winograd;
+
+use std::any::Any;
+
+use crate::error::Result;
+use crate::ops::{
+    ApplyGates, ChannelPool, Conv2d, CropResize, GlobalAvgPool, Linear, MaxPool2d, Op, RoiAlign,
+    SpatialGate, SpatialPool, UpsampleBilinear, WeightedSum,
+};
+use crate::shape::TensorSpec;
+use crate::tensor::Value;
+
+use kernel::Kernel;
+pub use plan::HostPlan;
+
+/// The kernel for an operation on inputs of these shapes. `constants` holds the values of those
+/// inputs that are known now.
+fn kernel(
+    op: &dyn Op,
+    inputs: &[TensorSpec],
+    outputs: &[TensorSpec],
+    constants: &[Option<&Value>],
+) -> Result<Option<Box<dyn Kernel>>> {
+    let any: &dyn Any = op;
+    let constant = |index: usize| match constants.get(index) {
+        Some(Some(Value::F32(tensor))) => Some(tensor),
+        _ => None,
+    };
+    if let Some(op) = any.downcast_ref::<Conv2d>() {
+        let bias = if op.bias { constant(2) } else { None };
+        let Some(weight) = constant(1).filter(|_| op.bias == bias.is_some()) else {
+            return Ok(None);
+        };
+        let conv = conv2d::Convolution::new(*op, &inputs[0], &outputs[0], weight, bias);
+        return Ok(Some(Box::new(conv)));
+    }
+    if let Some(op) = any.downcast_ref::<Linear>() {
+        let (Some(weight), Some(bias)) = (constant(1), constant(2)) else { return Ok(None) };
+        return Ok(Some(Box::new(linear::FullyConnected::new(*op, &inputs[0], weight, bias))));
+    }
+    if let Some(op) = any.downcast_ref::<CropResize>() {
+        return Ok(Some(Box::new(crop_resize::Resize { op: *op })));
+    }
+    if let Some(op) = any.downcast_ref::<MaxPool2d>() {
+        return Ok(Some(Box::new(pooling::Windows::new(*op, &inputs[0], &outputs[0]))));
+    }
+    if any.is::<ChannelPool>() {
+        return Ok(Some(Box::new(pooling::OverSpace::new(&inputs[0], true))));
+    }
+    if any.is::<GlobalAvgPool>() {
+        return Ok(Some(Box::new(pooling::OverSpace::new(&inputs[0], false))));
+    }
+    if any.is::<SpatialPool>() {
+        return Ok(Some(Box::new(pooling::OverChannels::new(&inputs[0]))));
+    }
+    if any.is::<SpatialGate>() {
+        let (Some(weight), Some(bias)) = (constant(1), constant(2)) else { return Ok(None) };
+        let logits = maps::SpatialLogits::new(&inputs[0], weight.data(), bias.data()[0]);
+        return Ok(Some(Box::new(logits)));
+    }
+    if any.is::<ApplyGates>() {
+        return Ok(Some(Box::new(maps::Gates { channels: inputs[0].shape.0[0] })));
+    }
+    if any.is::<UpsampleBilinear>() {
+        return Ok(Some(Box::new(maps::Bilinear::new(&inputs[0], &outputs[0]))));
+    }
+    if any.is::<WeightedSum>() {
+        return Ok(Some(Box::new(maps::Sum)));
+    }
+    if let Some(op) = any.downcast_ref::<RoiAlign>() {
+        let rois = inputs[1].shape.0[0];
+        let regions = roi_align::Regions::new(op.grid(), &inputs[0], rois, op.count);
+        return Ok(Some(Box::new(regions)));
+    }
+    Ok(None)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::TensorId;
+    use crate::graph::Graph;
+    use crate::ops::case::Case;
+    use crate::ops::{OPS, Tolerance};
+    use crate::shape::Extent;
+
+    /// Runs a case's operation alone, its inputs known or given as the network's are.
+    fn run(case: &Case) -> Vec<Value> {
+        let mut graph = Graph::default();
+        let mut given = Vec::new();
+        let weights = ["weight", "bias", "fc1_weight", "fc1_bias", "fc2_weight", "fc2_bias"];
+        let inputs: Vec<TensorId> = case
+            .inputs
+            .iter()
+            .zip(case.op.inputs())
+            .map(|(value, name)| match weights.contains(&name) {
+                true => graph.constant(name, value.clone()),
+                false => {
+                    let id = graph.input(name, value.spec(), Extent::Exact);
+                    given.push((id, value));
+                    id
+                }
+            })
+            .collect();
+        let outputs = graph.apply_shared("case", case.op.clone(), &inputs).expect("a legal case");
+        outputs.iter().for_each(|id| graph.mark_output(*id));
+        let mut plan = HostPlan::new(&graph, &[]).expect("a plan");
+        let (mut values, _) = plan.run(&graph, &given).expect("a run");
+        outputs.iter().map(|id| values.remove(id).expect("an output")).collect()
+    }
+
+    #[test]
+    fn every_case_is_within_its_bound() {
+        let mut failures = Vec::new();
+        for case in OPS.iter().flat_map(|entry| (entry.cases)()) {
+            let inputs: Vec<&Value> = case.inputs.iter().collect();
+            let reference = case.op.reference(&inputs).expect("a reference");
+            let bounds = case.op.tolerance(&inputs, &reference).expect("bounds");
+            let defined = case.op.defined(&reference.iter().collect::<Vec<_>>(), &inputs);
+            for (i, got) in run(&case).iter().enumerate() {
+                let (Value::F32(got), Value::F32(want)) = (got, &reference[i]) else {
+                    assert_eq!(got, &reference[i]);
+                    continue;
+                };
+                for at in 0..defined[i] {
+                    let (g, w) = (got.data()[at], want.data()[at]);
+                    let limit = match &bounds[i] {
+                        Tolerance::Exact => 0.0,
+                        Tolerance::Uniform(bound) => *bound,
+                        Tolerance::Each(bounds) => bounds[at],
+                    };
+                    let same = g == w || g.to_bits() == w.to_bits() || g.is_nan() && w.is_nan();
+                    if !same && !((f64::from(g) - f64::from(w)).abs() <= limit) {
+                        failures.push(format!(
+                            "{} / {} [{at}]: {g} instead of {w} ± {limit:.2e}",
+                            case.op.name(),
+                            case.name
+                        ));
+                        break;
+                    }
+                }
+            }
+        }
+        assert!(failures.is_empty(), "{}", failures.join("\n"));
+    }
+}

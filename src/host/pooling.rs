@@ -1,0 +1,177 @@
+//! Pooling over windows, over space and over channels, on channels-last maps.
+
+use rayon::prelude::*;
+
+use super::gemm::vectorised;
+use super::kernel::{Data, Kernel, Layout};
+use crate::ops::MaxPool2d;
+use crate::shape::TensorSpec;
+
+/// Pixels whose sum is kept apart, so that the mean of a large map loses few digits.
+const RUN: usize = 64;
+
+/// The larger of two values; a NaN on either side stays.
+#[inline(always)]
+fn larger(a: f32, b: f32) -> f32 {
+    if b <= a || a.is_nan() { a } else { b }
+}
+
+/// Maximum in each window.
+#[derive(Debug)]
+pub(super) struct Windows {
+    op: MaxPool2d,
+    channels: usize,
+    input: [usize; 2],
+    output: [usize; 2],
+}
+
+impl Windows {
+    pub fn new(op: MaxPool2d, input: &TensorSpec, output: &TensorSpec) -> Self {
+        let size = |spec: &TensorSpec| [spec.shape.0[1], spec.shape.0[2]];
+        Self { op, channels: input.shape.0[0], input: size(input), output: size(output) }
+    }
+}
+
+impl Kernel for Windows {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+        let input = inputs[0].f32()?;
+        let MaxPool2d { kernel, stride, padding } = self.op;
+        let ([in_h, in_w], [_, out_w], channels) = (self.input, self.output, self.channels);
+        let inside = |at: usize, length: usize| {
+            let first = (at * stride).saturating_sub(padding);
+            first..(at * stride + kernel).saturating_sub(padding).min(length)
+        };
+        outputs[0].par_chunks_mut(out_w * channels).enumerate().for_each(|(oy, row)| {
+            vectorised(|| {
+                for (ox, out) in row.chunks_exact_mut(channels).enumerate() {
+                    out.fill(f32::NEG_INFINITY);
+                    for y in inside(oy, in_h) {
+                        for x in inside(ox, in_w) {
+                            let from = &input[(y * in_w + x) * channels..][..channels];
+                            for (out, value) in out.iter_mut().zip(from) {
+                                *out = larger(*out, *value);
+                            }
+                        }
+                    }
+                }
+            });
+        });
+        Ok(())
+    }
+}
+
+/// Mean, and maximum if wanted, of each channel over space, of one or several maps.
+#[derive(Debug)]
+pub(super) struct OverSpace {
+    channels: usize,
+    pixels: usize,
+    with_maximum: bool,
+}
+
+impl OverSpace {
+    /// `with_maximum`: a second row of maxima behind the means.
+    pub fn new(input: &TensorSpec, with_maximum: bool) -> Self {
+        let [channels, height, width] = [0, 1, 2].map(|i| input.shape.0[i]);
+        Self { channels, pixels: height * width, with_maximum }
+    }
+
+    fn reduce(&self, input: &[f32], means: &mut [f32], maxima: &mut [f32]) {
+        let channels = self.channels;
+        // Partial sums and maxima of runs of pixels, in parallel; then their sum in order.
+        let runs: Vec<(Vec<f32>, Vec<f32>)> = input
+            .par_chunks(RUN * channels)
+            .map(|run| {
+                let mut sum = vec![0.0f32; channels];
+                let mut most = vec![f32::NEG_INFINITY; channels];
+                vectorised(|| {
+                    for pixel in run.chunks_exact(channels) {
+                        for ((sum, most), x) in sum.iter_mut().zip(&mut most).zip(pixel) {
+                            *sum += x;
+                            *most = larger(*most, *x);
+                        }
+                    }
+                });
+                (sum, most)
+            })
+            .collect();
+        let mut total = vec![0f64; channels];
+        maxima.fill(f32::NEG_INFINITY);
+        for (sum, most) in &runs {
+            for (total, sum) in total.iter_mut().zip(sum) {
+                *total += f64::from(*sum);
+            }
+            for (out, most) in maxima.iter_mut().zip(most) {
+                *out = larger(*out, *most);
+            }
+        }
+        for (mean, total) in means.iter_mut().zip(total) {
+            *mean = (total / self.pixels as f64) as f32;
+        }
+    }
+}
+
+impl Kernel for OverSpace {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+        let mut unused = vec![0.0; self.channels];
+        for (map, out) in inputs.iter().zip(outputs[0].chunks_exact_mut(
+            self.channels * if self.with_maximum { 2 } else { 1 },
+        )) {
+            let (means, maxima) = out.split_at_mut(self.channels);
+            let maxima = if self.with_maximum { maxima } else { &mut unused };
+            self.reduce(map.f32()?, means, maxima);
+        }
+        Ok(())
+    }
+}
+
+/// Maximum and mean over the channels of a gated map.
+#[derive(Debug)]
+pub(super) struct OverChannels {
+    channels: usize,
+    pixels: usize,
+}
+
+impl OverChannels {
+    pub fn new(input: &TensorSpec) -> Self {
+        let [channels, height, width] = [0, 1, 2].map(|i| input.shape.0[i]);
+        Self { channels, pixels: height * width }
+    }
+}
+
+/// Channels that are reduced side by side.
+const LANES: usize = 16;
+
+impl Kernel for OverChannels {
+    fn output_layout(&self) -> Layout {
+        Layout::Planar
+    }
+
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+        let (input, gate) = (inputs[0].f32()?, inputs[1].f32()?);
+        let (largest, means) = outputs[0].split_at_mut(self.pixels);
+        let channels = self.channels;
+        let pixels = input.par_chunks(RUN * channels);
+        largest.par_chunks_mut(RUN).zip(means.par_chunks_mut(RUN)).zip(pixels).for_each(
+            |((largest, means), pixels)| {
+                vectorised(|| {
+                    let each = largest.iter_mut().zip(means).zip(pixels.chunks_exact(channels));
+                    for ((largest, mean), pixel) in each {
+                        let mut sum = [0.0f32; LANES];
+                        let mut most = [f32::NEG_INFINITY; LANES];
+                        for (pixel, gate) in pixel.chunks(LANES).zip(gate.chunks(LANES)) {
+                            let lanes = sum.iter_mut().zip(&mut most).zip(pixel).zip(gate);
+                            for (((sum, most), x), gate) in lanes {
+                                let gated = x * gate;
+                                *sum += gated;
+                                *most = larger(*most, gated);
+                            }
+                        }
+                        *largest = most.into_iter().fold(f32::NEG_INFINITY, larger);
+                        *mean = sum.iter().sum::<f32>() / channels as f32;
+                    }
+                });
+            },
+        );
+        Ok(())
+    }
+}

@@ -29,6 +29,7 @@
 //! | [`model`] | SMR-Net's stages, its configuration and its weights |
 //! | [`comparison`] | the whole network on a device, stage by stage, against the f64 reference |
 //! | [`detector`] | [`GpuDetector`] |
+//! | [`picture`] | pictures from files that nobody vouches for |
 //! | [`sensor`] | the simulated sensor: gel, contact, optics, camera, snaps |
 //! | [`metrics`] | intersection over union, average precision, centre error |
 //!
@@ -52,6 +53,7 @@ pub mod graph;
 pub mod metrics;
 pub mod model;
 pub mod ops;
+pub mod picture;
 pub mod sensor;
 pub mod shape;
 pub mod tensor;

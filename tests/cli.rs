@@ -278,7 +278,7 @@ fn pictures(folder: &Path) -> (Vec<&'static str>, Vec<(&'static str, &'static st
         ("empty.png", "expected a PNG, JPEG, BMP or TIFF picture"),
         ("huge.png", "expected at most 33554432 pixels, got 60000 × 60000"),
         ("text.png", "expected a PNG, JPEG, BMP or TIFF picture"),
-        ("truncated.png", "expected a readable Png"),
+        ("truncated.png", "expected a whole PNG, got one that ends early"),
     ];
     (good, bad)
 }

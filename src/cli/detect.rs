@@ -12,6 +12,7 @@ use super::detector::{self, DetectorArgs, fraction};
 use super::draw::{Artist, Gallery};
 use super::exit::{Exit, Failure};
 use super::output::{json_line, line, tell};
+use super::printable::printable;
 use super::source::{Source, expand};
 use super::{picture, tensors};
 
@@ -91,9 +92,9 @@ struct StageMs<'a> {
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let mut exit = Exit::Done;
     let mut sources = Vec::new();
-    for argument in &args.sources {
-        match expand(argument) {
-            Ok(found) => sources.extend(found),
+    for found in args.sources.iter().flat_map(|argument| expand(argument)) {
+        match found {
+            Ok(source) => sources.push(source),
             Err(message) => {
                 tell(message);
                 exit = Exit::Inputs;
@@ -229,7 +230,7 @@ struct Table {
 
 impl Table {
     fn new(sources: &[Source]) -> Self {
-        let longest = sources.iter().map(|s| s.to_string().chars().count()).max();
+        let longest = sources.iter().map(|s| printable(s).chars().count()).max();
         Self { file_width: longest.unwrap_or(0).clamp(4, 48) }
     }
 
@@ -245,7 +246,7 @@ impl Table {
     }
 
     fn picture(&self, source: &Source, found: &Detections) -> Result<(), Failure> {
-        let file = source.to_string();
+        let file = printable(source);
         let w = self.file_width;
         if found.detections.is_empty() {
             return line(format!("{file:w$}  no snaps"));

@@ -14,6 +14,7 @@ mod exit;
 mod op;
 mod output;
 mod picture;
+mod printable;
 mod simulate;
 mod source;
 mod tensors;
@@ -21,6 +22,7 @@ mod tensors;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use smr_gpu::picture::is_decoding;
 
 use exit::Failure;
 
@@ -46,7 +48,17 @@ enum Command {
 
 /// Runs the program.
 pub(crate) fn run() -> ExitCode {
-    let result = match Cli::parse().command {
+    hush_decoders();
+    let command = match Cli::try_parse() {
+        Ok(cli) => cli.command,
+        Err(e) if e.use_stderr() => {
+            // It repeats the arguments, which the shell may have made of file names.
+            e.to_string().lines().for_each(|l| eprintln!("{}", printable::printable(l)));
+            return ExitCode::from(exit::Exit::Usage as u8);
+        }
+        Err(help) => help.exit(),
+    };
+    let result = match command {
         Command::Detect(args) => detect::run(args),
         Command::Devices(args) => devices::run(args),
         Command::Eval(args) => eval::run(args),
@@ -63,4 +75,14 @@ pub(crate) fn run() -> ExitCode {
         exit
     });
     ExitCode::from(exit as u8)
+}
+
+/// A decoder's panic becomes its picture's error, and is no news of its own.
+fn hush_decoders() {
+    let tell = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        if !is_decoding() {
+            tell(panic);
+        }
+    }));
 }

@@ -7,18 +7,23 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::exit::{Exit, Failure};
+use super::printable::printable;
 
-/// Tells the user something on stderr.
+/// Tells the user something on stderr, in one line.
 pub(super) fn tell(message: impl Display) {
     // If stderr is gone, nobody is left to be told.
-    let _ = writeln!(std::io::stderr(), "smr-gpu: {message}");
+    let _ = writeln!(std::io::stderr(), "smr-gpu: {}", printable(message));
 }
 
-/// Writes a line to stdout.
+/// Writes a line for people to stdout.
 ///
 /// # Errors
 /// [`Exit::Output`]; a reader that went away, as `head` does, ends the program quietly.
 pub(super) fn line(text: impl Display) -> Result<(), Failure> {
+    raw_line(printable(text))
+}
+
+fn raw_line(text: String) -> Result<(), Failure> {
     let mut stdout = std::io::stdout().lock();
     writeln!(stdout, "{text}").and_then(|()| stdout.flush()).map_err(|e| match e.kind() {
         ErrorKind::BrokenPipe => Failure { exit: Exit::Done, message: None },
@@ -26,14 +31,14 @@ pub(super) fn line(text: impl Display) -> Result<(), Failure> {
     })
 }
 
-/// Writes a JSON value as one line to stdout.
+/// Writes a JSON value as one line to stdout; JSON escapes what it must by itself.
 ///
 /// # Errors
 /// As [`line`].
 pub(super) fn json_line(value: &impl Serialize) -> Result<(), Failure> {
     let text = serde_json::to_string(value)
         .map_err(|e| Failure::new(Exit::Output, format!("stdout: {e}")))?;
-    line(text)
+    raw_line(text)
 }
 
 /// A failure to write `path`.

@@ -5,7 +5,9 @@ use std::io::Cursor;
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageBuffer};
 use tiff::decoder::{Decoder, DecodingResult, Limits};
-use tiff::tags::{CompressionMethod, PlanarConfiguration, SampleFormat, Tag};
+use tiff::tags::{
+    CompressionMethod, PhotometricInterpretation, PlanarConfiguration, SampleFormat, Tag,
+};
 use tiff::{ColorType, TiffError};
 
 use super::{Error, Format, MAX_ENCODED, check_size};
@@ -45,6 +47,10 @@ struct Kind {
 
 impl Kind {
     fn of(decoder: &mut Decoder<Cursor<&[u8]>>) -> Result<Self, Error> {
+        let meaning = decoder.find_tag_unsigned(Tag::PhotometricInterpretation);
+        if meaning.map_err(unreadable)? == Some(PhotometricInterpretation::RGBPalette.to_u16()) {
+            return Err(unsupported("grey, RGB or CMYK in a TIFF", "a palette".into()));
+        }
         let colour = decoder.colortype().map_err(unreadable)?;
         let formats = decoder.find_tag_unsigned_vec(Tag::SampleFormat).map_err(unreadable)?;
         for format in formats.unwrap_or_default().into_iter().map(SampleFormat::from_u16_exhaustive)
@@ -72,7 +78,6 @@ impl Kind {
                 | ColorType::CMYKA(_)
         ) {
             let got = match colour {
-                ColorType::Palette(_) => "a palette".into(),
                 ColorType::Multiband { num_samples, .. } => format!("{num_samples} channels"),
                 other => format!("{other:?}"),
             };

@@ -2,8 +2,7 @@
 
 use std::path::Path;
 
-use smr_gpu::model::roi_head::Thresholds;
-use smr_gpu::model::{Network, Weights};
+use smr_gpu::model::{Network, Thresholds, Weights};
 
 /// Most pixels of the pictures for which the network is built.
 const CAPACITY: usize = 64 * 64;

@@ -69,5 +69,8 @@ step build cargo build --locked --release
 step adapter have_adapter
 step clippy cargo clippy --locked --release --all-targets -- -D warnings
 RUSTDOCFLAGS="-D warnings" step docs cargo doc --locked --release --no-deps
+if command -v cargo-deny >/dev/null; then
+    step deny cargo deny --locked check bans licenses sources
+fi
 step tests cargo test --locked --release
 step shaders "$smr_gpu" check

@@ -64,6 +64,19 @@ fn changed(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
     [&bytes[..at], to, &bytes[at + from.len()..]].concat()
 }
 
+#[test]
+fn no_part_of_a_picture_is_one() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/pictures");
+    let entries = fs::read_dir(folder).expect("the corpus");
+    for file in entries.map(|e| e.expect("an entry").path()) {
+        let whole = fs::read(&file).expect("the picture");
+        decode(&whole).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
+        for end in 0..whole.len() {
+            assert!(decode(&whole[..end]).is_err(), "{} to {end}", file.display());
+        }
+    }
+}
+
 mod png {
     use image::ImageFormat;
 

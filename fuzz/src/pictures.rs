@@ -42,8 +42,11 @@ fn with_checksums(data: &[u8]) -> Option<Vec<u8>> {
 /// PNG's CRC-32.
 fn checksum(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(u32::MAX, |sum, byte| {
-        (0..8).fold(sum ^ u32::from(*byte), |s, _| {
-            if s & 1 == 1 { s >> 1 ^ 0xedb8_8320 } else { s >> 1 }
-        })
+        (0..8).fold(
+            sum ^ u32::from(*byte),
+            |s, _| {
+                if s & 1 == 1 { s >> 1 ^ 0xedb8_8320 } else { s >> 1 }
+            },
+        )
     })
 }

@@ -330,6 +330,18 @@ fn tiffs_in_tiles_and_planes_are_put_together() {
 }
 
 #[test]
+fn strips_that_share_bytes_are_refused() {
+    let mut tiff = grey_tiff();
+    tiff.set(278, 3, vec![2]);
+    tiff.chunks = samples(1).chunks(2 * WIDTH).map(<[u8]>::to_vec).collect();
+    let whole = tiff.bytes();
+    decode(&whole).expect("strips side by side");
+    let lengths = |of: [u32; 4]| of.map(u32::to_le_bytes).concat();
+    let overlapping = changed(&whole, &lengths([10, 10, 10, 5]), &lengths([90; 4]));
+    refused(&overlapping, "strips or tiles of 360 bytes in");
+}
+
+#[test]
 fn tiffs_of_other_kinds_are_refused_by_name() {
     let with = |set: &[(u16, u32)], bytes: usize| {
         let mut tiff = grey_tiff();

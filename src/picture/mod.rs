@@ -8,13 +8,13 @@
 //! | pixels | [`MAX_PIXELS`] |
 //! | bytes as stored | [`MAX_ENCODED`]; of a file of another kind, its first [`MAGIC`] are read |
 //! | bytes as decoded | 8 a pixel: four channels of 16 bits; decoders take as much again |
-//! | scans of a JPEG | [`jpeg::MAX_SCANS`], each over all of its pixels |
-//! | strips or tiles of a TIFF | what fits into an index of 1 MiB |
+//! | scans of a JPEG | [`MAX_SCANS`], each over all of its pixels |
+//! | strips or tiles of a TIFF | what fits into an index of 1 MiB, without overlap |
 //!
 //! A build with `panic = "abort"` cannot catch a decoder's panic.
 
 mod file;
-pub mod jpeg;
+mod jpeg;
 mod png;
 mod tiff;
 
@@ -28,6 +28,7 @@ use image::codecs::bmp::BmpDecoder;
 use image::{DynamicImage, ImageDecoder, ImageError};
 
 use crate::detector::MAX_PIXELS;
+pub use jpeg::MAX_SCANS;
 
 /// Most bytes of a picture as it is stored: [`MAX_PIXELS`] of four channels of 16 bits, and 64 MiB.
 pub const MAX_ENCODED: u64 = MAX_PIXELS as u64 * 8 + (64 << 20);

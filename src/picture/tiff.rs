@@ -21,6 +21,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, Error> {
     let size = decoder.dimensions().map_err(unreadable)?;
     check_size(size)?;
     let kind = Kind::of(&mut decoder)?;
+    check_chunks(&mut decoder, bytes.len() as u64)?;
     let orientation = decoder.find_tag(Tag::Orientation).map_err(unreadable)?;
     let orientation = orientation.and_then(|o| o.into_u16().ok()).and_then(|o| o.try_into().ok());
     let orientation = orientation.and_then(Orientation::from_exif);
@@ -32,6 +33,18 @@ pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, Error> {
     .ok_or_else(|| damaged("pixels of another number".into()))?;
     picture.apply_orientation(orientation.unwrap_or(Orientation::NoTransforms));
     Ok(picture)
+}
+
+/// Refuses strips or tiles that share bytes: a small file could ask for the work of a huge one.
+fn check_chunks(decoder: &mut Decoder<Cursor<&[u8]>>, length: u64) -> Result<(), Error> {
+    for tag in [Tag::StripByteCounts, Tag::TileByteCounts] {
+        let counts = decoder.find_tag_unsigned_vec(tag).map_err(unreadable)?.unwrap_or_default();
+        let total = counts.iter().fold(0, |total: u64, count| total.saturating_add(*count));
+        if total > length {
+            return Err(damaged(format!("strips or tiles of {total} bytes in {length}")));
+        }
+    }
+    Ok(())
 }
 
 /// What a pixel is.

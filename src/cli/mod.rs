@@ -16,13 +16,15 @@ mod output;
 mod picture;
 mod simulate;
 mod source;
+mod stdout;
 mod tensors;
 
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use exit::Failure;
+use exit::{Exit, Failure};
 
 /// Finds snap joints in pictures of a GelSight-like tactile sensor, on any GPU.
 #[derive(Debug, Parser)]
@@ -46,7 +48,26 @@ enum Command {
 
 /// Runs the program.
 pub(crate) fn run() -> ExitCode {
-    let result = match Cli::parse().command {
+    let exit = parse_and_run().unwrap_or_else(|Failure { exit, message }| {
+        if let Some(message) = message {
+            output::tell(message);
+        }
+        exit
+    });
+    ExitCode::from(exit as u8)
+}
+
+fn parse_and_run() -> Result<Exit, Failure> {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(e) if e.use_stderr() => e.exit(),
+        // Help or version.
+        Err(e) => {
+            output::to_stdout(|| e.print().and_then(|()| std::io::stdout().flush()))?;
+            return Ok(Exit::Done);
+        }
+    };
+    match cli.command {
         Command::Detect(args) => detect::run(args),
         Command::Devices(args) => devices::run(args),
         Command::Eval(args) => eval::run(args),
@@ -55,12 +76,5 @@ pub(crate) fn run() -> ExitCode {
         Command::Compare(args) => compare::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Calibrate(args) => calibrate::run(args),
-    };
-    let exit = result.unwrap_or_else(|Failure { exit, message }| {
-        if let Some(message) = message {
-            output::tell(message);
-        }
-        exit
-    });
-    ExitCode::from(exit as u8)
+    }
 }

@@ -110,12 +110,12 @@ fn write_with(
         Some(parent) if parent != Path::new("") => parent,
         _ => Path::new("."),
     };
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(UNFINISHED[0]).suffix(UNFINISHED[1]);
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    // Removes the file when it is dropped before its name is.
-    let mut file = builder.tempfile_in(folder).map_err(failed)?;
+    // With the mode of any new file. It is removed when it is dropped before it has its name.
+    let mut file = tempfile::Builder::new()
+        .prefix(UNFINISHED[0])
+        .suffix(UNFINISHED[1])
+        .make_in(folder, |path| File::create_new(path))
+        .map_err(failed)?;
     if let Some(replaced) = replaced {
         file.as_file().set_permissions(replaced.permissions()).map_err(failed)?;
     }

@@ -11,7 +11,10 @@ use smr_gpu::sensor::contact::{Contact, NO_BODY, Stop, solve};
 use smr_gpu::sensor::dataset::{Progress, Settings, Step, scene_seed, simulate};
 use smr_gpu::sensor::gel::{Elasticity, Grid, Layer};
 use smr_gpu::sensor::label::imprints;
-use smr_gpu::sensor::optics::{Fit, Shading, measured_sensors, normal_terms, position_terms};
+use smr_gpu::sensor::optics::{
+    Fit, NORMAL_TERMS, POSITION_TERMS, Shading, TERMS, measured_sensors, normal_terms,
+    position_terms,
+};
 use smr_gpu::sensor::render::{GRID, LEAST_IMPRINT_PX, Renderer, STOP, Surface};
 use smr_gpu::sensor::scene::{Body, Mix, Scene};
 use smr_gpu::sensor::snaps::{Kind, Snap};
@@ -353,6 +356,31 @@ fn the_fit_finds_known_coefficients() {
         // The ridge draws coefficients towards zero by about its share of their own term.
         assert!((found - truth).abs() < 1e-3, "{found}, expected {truth}");
     }
+}
+
+#[test]
+fn a_fit_knows_what_its_pixels_determine() {
+    let grid = || (-4..5).flat_map(|x| (-4..5).map(move |y| [x, y].map(|v| f64::from(v) / 4.0)));
+    let all: Vec<[f64; 2]> = grid().collect();
+    let one = [[0.5, -0.25]];
+    let rank = |positions: &[[f64; 2]], slopes: &[[f64; 2]], flat: f64| {
+        let mut fit = Fit::new();
+        for [x, y] in positions {
+            for [gx, gy] in slopes {
+                fit.add(&position_terms(*x, *y), &normal_terms(*gx, *gy), flat, 100.0);
+            }
+        }
+        fit.rank()
+    };
+    assert_eq!(rank(&all, &all, 130.0), TERMS);
+    // At one position the five terms of the normal, at one slope the six of the position.
+    assert_eq!(rank(&one, &all, 130.0), NORMAL_TERMS);
+    assert_eq!(rank(&all, &one, 130.0), POSITION_TERMS);
+    // One pixel many times, nothing but flat gel, a black background, and no pixel.
+    assert_eq!(rank(&one.repeat(50), &one, 130.0), 1);
+    assert_eq!(rank(&all, &[[0.0, 0.0]], 130.0), 0);
+    assert_eq!(rank(&all, &all, 0.0), 0);
+    assert_eq!(rank(&[], &[], 130.0), 0);
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::io::Cursor;
 use std::path::PathBuf;
 
 use image::ImageFormat;
-use smr_gpu::files::{self, Outputs};
+use smr_gpu::files::Outputs;
 use smr_gpu::sensor::Error;
 use smr_gpu::sensor::calibrate::{
     self, CROP_PX, DIFFERENCE_GAIN, Distance, FOLDS, read_sensor, sensor_files,
@@ -41,11 +41,11 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         Some(folder) => sensor_files(folder).map_err(unreadable)?,
         None => Vec::new(),
     };
-    for file in args.save.iter().chain(&args.write) {
-        files::check(file)?;
-    }
     let report = calibrate::calibrate(&args.presses).map_err(unreadable)?;
     let outputs = Outputs::sparing(report.files.iter().chain(&sensors));
+    for file in args.save.iter().chain(&args.write) {
+        outputs.check(file)?;
+    }
     line(format!("{} presses, {CROP_PX}×{CROP_PX} crops, {FOLDS}-fold held out", report.presses))?;
     line("")?;
     line("| renderer | L1 | PSNR, dB | SSIM |")?;

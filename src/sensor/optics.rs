@@ -188,7 +188,8 @@ fn turn_channel(channel: &Channel, m: &[[f64; 2]; 2]) -> Channel {
 }
 
 /// Least share of a term, squared and summed over the observations, that the terms before it leave
-/// unexplained. Its root divides the coefficient's error: below this, by less than a thousandth.
+/// unexplained. With less than this, noise weighs over a thousand times as much in its coefficient
+/// as in that of a term that stands alone.
 const LEAST_INDEPENDENT: f64 = 1e-6;
 
 /// Least squares for the coefficients of one channel, by the normal equations.

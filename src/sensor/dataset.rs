@@ -21,8 +21,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use image::ExtendedColorType;
 use image::ImageEncoder;
+use image::RgbImage;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use rayon::prelude::*;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::render::{Label, Rendered, Renderer};
@@ -96,9 +98,15 @@ const SIMULATOR: u32 = 2;
 #[derive(Serialize, Deserialize)]
 struct Sidecar {
     scene_seed: u64,
-    /// Size of the picture's file. Early versions did not keep it; their pictures are made again.
-    picture_bytes: Option<u64>,
+    /// Size of the picture's file.
+    picture_bytes: u64,
     snaps: Vec<Label>,
+}
+
+/// What labels of every version have.
+#[derive(Deserialize)]
+struct AnyLabel {
+    scene_seed: u64,
 }
 
 /// Seed of the scene with this number in a data set: SplitMix64's finaliser over both.
@@ -151,9 +159,9 @@ pub fn simulate(
         let scene_seed = scene_seed(settings.seed, i as u64);
         let Rendered { picture, labels: snaps } = renderer.render(scene_seed, settings.mix)?;
         let image = image_path(&images, i);
-        let png = encode(&image, picture.as_raw())?;
+        let png = encode(&image, &picture)?;
         files::write(&image, &png)?;
-        let sidecar = Sidecar { scene_seed, picture_bytes: Some(png.len() as u64), snaps };
+        let sidecar = Sidecar { scene_seed, picture_bytes: png.len() as u64, snaps };
         write_json(&label_path(&labels, i), &sidecar)?;
         let done = 1 + done.fetch_add(1, Ordering::Relaxed);
         progress(Progress { step: Step::Render, done, all });
@@ -197,7 +205,8 @@ fn lock(folder: &Path) -> Result<File, Error> {
     files::check(&path)?;
     let io = |e| Error::io(&path)(e);
     let mut options = OpenOptions::new();
-    let mut file = options.read(true).write(true).create(true).open(&path).map_err(io)?;
+    options.read(true).write(true).create(true).truncate(false);
+    let mut file = options.open(&path).map_err(io)?;
     match file.try_lock() {
         Ok(()) => {}
         Err(TryLockError::WouldBlock) => {
@@ -296,21 +305,24 @@ fn is_whole(settings: &Settings, image: &Path, label: &Path, index: usize) -> Re
     // Neither is written over if it is not.
     files::check(label)?;
     files::check(image)?;
+    let text = fs::read(label).map_err(Error::io(label))?;
     // A crash of an early version, which did not sync, may have left it empty.
-    if fs::metadata(label).map_err(Error::io(label))?.len() == 0 {
+    if text.is_empty() {
         return Ok(false);
     }
-    let sidecar: Sidecar = read_json(label)?;
+    let AnyLabel { scene_seed: found } = parse(label, &text)?;
     let expected = scene_seed(settings.seed, index as u64);
-    if sidecar.scene_seed != expected {
+    if found != expected {
         return Err(Error::Content {
             path: label.to_owned(),
             expected: format!("the scene seed {expected}"),
-            found: sidecar.scene_seed.to_string(),
+            found: found.to_string(),
         });
     }
+    // What an early version wrote lacks something, and is made again.
+    let Ok(sidecar) = serde_json::from_slice::<Sidecar>(&text) else { return Ok(false) };
     match fs::metadata(image) {
-        Ok(found) => Ok(sidecar.picture_bytes == Some(found.len())),
+        Ok(found) => Ok(sidecar.picture_bytes == found.len()),
         Err(e) if e.kind() == ErrorKind::NotFound => Ok(false),
         Err(e) => Err(Error::io(image)(e)),
     }
@@ -331,9 +343,12 @@ fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
     Ok(files::write(path, &text)?)
 }
 
-fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Error> {
-    let text = fs::read(path).map_err(Error::io(path))?;
-    serde_json::from_slice(&text).map_err(|e| Error::Content {
+fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, Error> {
+    parse(path, &fs::read(path).map_err(Error::io(path))?)
+}
+
+fn parse<T: DeserializeOwned>(path: &Path, text: &[u8]) -> Result<T, Error> {
+    serde_json::from_slice(text).map_err(|e| Error::Content {
         path: path.to_owned(),
         expected: "what an earlier run wrote".to_owned(),
         found: e.to_string(),
@@ -341,10 +356,11 @@ fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Error> {
 }
 
 /// The picture as PNG; `path` is for messages.
-fn encode(path: &Path, pixels: &[u8]) -> Result<Vec<u8>, Error> {
+fn encode(path: &Path, picture: &RgbImage) -> Result<Vec<u8>, Error> {
+    let (width, height) = picture.dimensions();
     let mut png = Vec::new();
     PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Sub)
-        .write_image(pixels, PICTURE_PX as u32, PICTURE_PX as u32, ExtendedColorType::Rgb8)
+        .write_image(picture.as_raw(), width, height, ExtendedColorType::Rgb8)
         .map_err(Error::image(path))?;
     Ok(png)
 }

@@ -14,7 +14,7 @@ use program::{Ran, WEIGHTS, command, f32_bytes, folder, ramp, run, write_tensors
 
 const PICTURES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/pictures");
 
-/// The same where the Vulkan loader finds no driver.
+/// Runs the program where the Vulkan loader finds no driver.
 fn run_without_adapter(folder: &Path, arguments: &[&str]) -> Ran {
     let mut command = command(folder);
     for variable in ["VK_ICD_FILENAMES", "VK_DRIVER_FILES"] {

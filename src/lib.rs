@@ -22,6 +22,7 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`error`], [`shape`], [`tensor`] | typed errors, shapes, tensors in host memory |
+//! | [`files`] | writing files: whole or not at all, and never an input |
 //! | [`cpu`] | the reference of each operation: from its definition, with f64 sums |
 //! | [`gpu`] | the device, shaders and their reflection, recordings, plans; alone to name wgpu |
 //! | [`ops`] | each operation: parameters, shape check, dispatches, error bound, cases |
@@ -48,6 +49,7 @@ pub mod comparison;
 pub mod cpu;
 pub mod detector;
 pub mod error;
+pub mod files;
 pub mod gpu;
 pub mod graph;
 pub mod metrics;

@@ -3,97 +3,24 @@
 use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
 
-use image::{GrayAlphaImage, GrayImage, ImageBuffer, Luma, RgbImage};
+use image::{GrayAlphaImage, GrayImage, ImageBuffer, Luma};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde_json::Value;
-use tempfile::TempDir;
 
-const WEIGHTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors");
+#[path = "support/program.rs"]
+mod program;
+use program::{Ran, WEIGHTS, command, f32_bytes, folder, ramp, run, write_tensors};
+
 const PICTURES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/pictures");
 
-/// What a run of the program left.
-struct Ran {
-    code: Option<i32>,
-    stdout: String,
-    stderr: String,
-}
-
-impl From<Output> for Ran {
-    fn from(output: Output) -> Self {
-        let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
-        Self {
-            code: output.status.code(),
-            stdout: text(output.stdout),
-            stderr: text(output.stderr),
-        }
-    }
-}
-
-impl Ran {
-    /// Its stdout as one JSON value a line.
-    fn json(&self) -> Vec<Value> {
-        let parse = |l| serde_json::from_str(l).unwrap_or_else(|e| panic!("{e}: {l}"));
-        self.stdout.lines().map(parse).collect()
-    }
-
-    /// The program's own messages; a Vulkan layer may add others to stderr.
-    fn told(&self) -> Vec<&str> {
-        self.stderr.lines().filter(|l| l.starts_with("smr-gpu: ")).collect()
-    }
-
-    #[track_caller]
-    fn expect(self, code: i32) -> Self {
-        assert_eq!(self.code, Some(code), "stdout:\n{}stderr:\n{}", self.stdout, self.stderr);
-        self
-    }
-
-    #[track_caller]
-    fn tells(self, phrase: &str) -> Self {
-        assert!(self.stderr.contains(phrase), "no `{phrase}` in:\n{}", self.stderr);
-        self
-    }
-}
-
-fn command(folder: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_smr-gpu"));
-    command.current_dir(folder).env("SMR_GPU_WEIGHTS", WEIGHTS).stdin(Stdio::null());
-    command
-}
-
-fn run(folder: &Path, arguments: &[&str]) -> Ran {
-    command(folder).args(arguments).output().expect("the program runs").into()
-}
-
-/// The same where the Vulkan loader finds no driver.
+/// Runs the program where the Vulkan loader finds no driver.
 fn run_without_adapter(folder: &Path, arguments: &[&str]) -> Ran {
     let mut command = command(folder);
     for variable in ["VK_ICD_FILENAMES", "VK_DRIVER_FILES"] {
         command.env(variable, folder.join("no_icd.json"));
     }
     command.args(arguments).output().expect("the program runs").into()
-}
-
-fn folder() -> TempDir {
-    tempfile::tempdir().expect("a folder")
-}
-
-/// A picture of a smooth ramp, which no snap resembles.
-fn ramp(width: u32, height: u32) -> RgbImage {
-    RgbImage::from_fn(width, height, |x, y| image::Rgb([x, y, x / 2 + y / 2].map(|v| v as u8)))
-}
-
-fn write_tensors(file: &Path, tensors: &[(&str, Dtype, Vec<usize>, Vec<u8>)]) {
-    let views = tensors.iter().map(|(name, dtype, shape, bytes)| {
-        (*name, TensorView::new(*dtype, shape.clone(), bytes).expect("a tensor"))
-    });
-    let bytes = safetensors::serialize(views, None).expect("a file");
-    fs::write(file, bytes).expect("written");
-}
-
-fn f32_bytes(values: &[f32]) -> Vec<u8> {
-    values.iter().flat_map(|v| v.to_le_bytes()).collect()
 }
 
 #[test]
@@ -495,7 +422,7 @@ fn no_input_is_overwritten() {
     }
     assert!(path("links/soft-2.png").exists());
     let ran = run(folder.path(), &["detect", "soft.png", "--dump-stages", "links/soft.png"]);
-    ran.expect(2).tells("is the picture itself");
+    ran.expect(2).tells("got one of the inputs");
     assert_eq!(fs::read(path("soft.png")).expect("a picture"), original);
 
     fs::write(path("annotations.json"), "mine").expect("written");
@@ -521,6 +448,6 @@ fn a_reader_that_leaves_ends_the_program_quietly() {
     let (reader, writer) = std::io::pipe().expect("a pipe");
     drop(reader);
     let output = command(folder.path()).args(["op", "--list"]).stdout(writer).output();
-    let ran = Ran::from(output.expect("the program runs")).expect(0);
+    let ran = Ran::from(output.expect("the program runs")).expect(141);
     assert_eq!(ran.stderr, "");
 }

@@ -8,10 +8,13 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64;
 use smr_gpu::sensor::camera::{Camera, NormalTable};
 use smr_gpu::sensor::contact::{Contact, NO_BODY, Stop, solve};
-use smr_gpu::sensor::dataset::{Settings, scene_seed, simulate};
+use smr_gpu::sensor::dataset::{Progress, Settings, Step, scene_seed, simulate};
 use smr_gpu::sensor::gel::{Elasticity, Grid, Layer};
 use smr_gpu::sensor::label::imprints;
-use smr_gpu::sensor::optics::{Fit, Shading, measured_sensors, normal_terms, position_terms};
+use smr_gpu::sensor::optics::{
+    Fit, NORMAL_TERMS, POSITION_TERMS, Shading, TERMS, measured_sensors, normal_terms,
+    position_terms,
+};
 use smr_gpu::sensor::render::{GRID, LEAST_IMPRINT_PX, Renderer, STOP, Surface};
 use smr_gpu::sensor::scene::{Body, Mix, Scene};
 use smr_gpu::sensor::snaps::{Kind, Snap};
@@ -356,6 +359,31 @@ fn the_fit_finds_known_coefficients() {
 }
 
 #[test]
+fn a_fit_knows_what_its_pixels_determine() {
+    let grid = || (-4..5).flat_map(|x| (-4..5).map(move |y| [x, y].map(|v| f64::from(v) / 4.0)));
+    let all: Vec<[f64; 2]> = grid().collect();
+    let one = [[0.5, -0.25]];
+    let rank = |positions: &[[f64; 2]], slopes: &[[f64; 2]], flat: f64| {
+        let mut fit = Fit::new();
+        for [x, y] in positions {
+            for [gx, gy] in slopes {
+                fit.add(&position_terms(*x, *y), &normal_terms(*gx, *gy), flat, 100.0);
+            }
+        }
+        fit.rank()
+    };
+    assert_eq!(rank(&all, &all, 130.0), TERMS);
+    // At one position the five terms of the normal, at one slope the six of the position.
+    assert_eq!(rank(&one, &all, 130.0), NORMAL_TERMS);
+    assert_eq!(rank(&all, &one, 130.0), POSITION_TERMS);
+    // One pixel many times, nothing but flat gel, a black background, and no pixel.
+    assert_eq!(rank(&one.repeat(50), &one, 130.0), 1);
+    assert_eq!(rank(&all, &[[0.0, 0.0]], 130.0), 0);
+    assert_eq!(rank(&all, &all, 0.0), 0);
+    assert_eq!(rank(&[], &[], 130.0), 0);
+}
+
+#[test]
 fn held_out_presses_are_near_the_real_ones() {
     let report = calibrate::calibrate(&data("gelsight_ball_presses")).expect("the data is there");
     assert_eq!(report.presses, 48);
@@ -368,8 +396,10 @@ fn held_out_presses_are_near_the_real_ones() {
     assert!(report.held_out.ssim > report.background.ssim, "{:?}", report.held_out);
 
     // What the simulator uses is what the calibration gives.
-    let mut sensors = vec![report.sensor()];
-    sensors.extend(calibrate::read_sensors(&data("gelsight_flatfields")).expect("files"));
+    let mut sensors = vec![report.sensor().expect("better than the background")];
+    for file in calibrate::sensor_files(&data("gelsight_flatfields")).expect("files") {
+        sensors.push(calibrate::read_sensor(&file).expect("a sensor"));
+    }
     assert_eq!(sensors.len(), measured_sensors().len());
     for (found, used) in sensors.iter().zip(measured_sensors()) {
         assert_eq!(found.name, used.name);
@@ -400,7 +430,8 @@ fn a_broken_calibration_names_its_file() {
     let yaml = folder.path().join("x.yaml");
     std::fs::write(&yaml, "quadfit: \n    rows: 6\n    cols: 10\n    values: [1, 2]\n")
         .expect("a file");
-    let error = calibrate::read_sensors(folder.path()).expect_err("too few numbers");
+    assert_eq!(calibrate::sensor_files(folder.path()).expect("one"), [yaml.as_path()]);
+    let error = calibrate::read_sensor(&yaml).expect_err("too few numbers");
     assert!(error.to_string().contains("2 numbers"), "{error}");
 }
 
@@ -551,9 +582,11 @@ fn data_sets_do_not_depend_on_threads_or_interruptions() {
     let run = |settings: &Settings, threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
         let seen = Mutex::new(Vec::new());
-        let progress = |done: usize, all: usize| {
-            assert_eq!(all, settings.count);
-            seen.lock().expect("no panic").push(done);
+        let progress = |Progress { step, done, all }: Progress| {
+            if step == Step::Render {
+                assert_eq!(all, settings.count);
+                seen.lock().expect("no panic").push(done);
+            }
         };
         let summary = pool.install(|| simulate(settings, &progress)).expect("a data set");
         let mut seen = seen.into_inner().expect("no panic");
@@ -569,7 +602,7 @@ fn data_sets_do_not_depend_on_threads_or_interruptions() {
     run(&settings(three.path(), 9), 3);
     std::fs::remove_file(three.path().join("images/000004.png")).expect("a picture");
     std::fs::remove_file(three.path().join("labels/000007.json")).expect("labels");
-    std::fs::write(three.path().join("images/000004.unfinished"), "torn").expect("a file");
+    std::fs::write(three.path().join("images/.smr-gpu-Qm3Xc1.unfinished"), "torn").expect("a file");
     let summary = run(&settings(three.path(), 10), 3);
     assert_eq!((summary.rendered, summary.kept), (3, 7));
     let resumed = relative(three.path());
@@ -609,7 +642,7 @@ fn data_sets_do_not_depend_on_threads_or_interruptions() {
 
     // Another seed may not continue the folder.
     let other = Settings { seed: 43, ..settings(one.path(), 2) };
-    let error = simulate(&other, &|_, _| ()).expect_err("another seed");
+    let error = simulate(&other, &|_| ()).expect_err("another seed");
     assert!(matches!(error, Error::OtherDataset { .. }), "{error}");
     assert!(error.to_string().contains("seed 42"), "{error}");
 }

@@ -1,12 +1,14 @@
 //! `smr-gpu detect`: finds the snaps in pictures, prints and draws them.
 
 use std::collections::HashMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use image::DynamicImage;
 use serde::Serialize;
-use smr_gpu::{Detections, GpuDetector};
+use smr_gpu::detector::Stages;
+use smr_gpu::files::Outputs;
+use smr_gpu::{Detections, GpuDetector, WeightSource};
 
 use super::detector::{self, DetectorArgs, fraction};
 use super::draw::{Artist, Gallery};
@@ -111,23 +113,24 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     if sources.is_empty() {
         return Ok(exit);
     }
-    if let (Some(file), [Source::File(source)]) = (&args.dump_stages, &sources[..]) {
-        let [dump, picture] = [file, source].map(|path| path.canonicalize().ok());
-        if dump.is_some() && dump == picture {
-            let file = file.display();
-            return Err(Failure::usage(format!("--dump-stages: {file} is the picture itself")));
-        }
-    }
     let mut config = args.detector.config()?;
     config.score = args.conf;
     config.max_detections = args.max_det.into();
     config.classes = args.classes.clone();
     config.keep_stages = args.dump_stages.is_some();
+    let mut outputs = Outputs::sparing(sources.iter().map(|source| match source {
+        Source::File(path) => path.as_path(),
+        // Where this is a file, it is as much an input.
+        Source::Stdin => Path::new("/dev/stdin"),
+    }));
+    if let WeightSource::File(weights) = &config.weights {
+        outputs.spare(weights);
+    }
+    if let Some(file) = &args.dump_stages {
+        outputs.check(file)?;
+    }
     let detector = detector::open(config)?;
-    let mut gallery = match &args.save {
-        Some(folder) => Some(Gallery::create(folder, &sources)?),
-        None => None,
-    };
+    let mut gallery = args.save.as_deref().map(Gallery::create).transpose()?;
     let artist = Artist::new(&detector.model().classes);
     let table = Table::new(&sources);
     if !args.json {
@@ -139,15 +142,15 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             Ok(picture) => picture,
             Err(message) => {
                 tell(format!("{source}: {message}"));
-                exit = Exit::Inputs;
+                exit = exit.max(Exit::Inputs);
                 continue;
             }
         };
-        let found = match look(&detector, source, &picture, &args) {
+        let (found, stages) = match look(&detector, source, &picture, &args) {
             Ok(found) => found,
             Err(Failure { exit: Exit::Inputs, message }) => {
                 message.into_iter().for_each(tell);
-                exit = Exit::Inputs;
+                exit = exit.max(Exit::Inputs);
                 continue;
             }
             Err(failure) => return Err(failure.told()),
@@ -156,8 +159,13 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             true => json_line(&record(source, &found, detector.adapter()))?,
             false => table.picture(source, &found)?,
         }
+        // A file that cannot be written takes none of the other results with it.
         if let Some(gallery) = &mut gallery {
-            gallery.save(source, &artist.draw(&picture, &found.detections))?;
+            let drawn = artist.draw(&picture, &found.detections);
+            exit = exit.max(told(gallery.save(&mut outputs, source, &drawn)));
+        }
+        if let Some(file) = &args.dump_stages {
+            exit = exit.max(told(dump(&outputs, file, &detector, source, &stages)));
         }
         pictures += 1;
         snaps += found.detections.len();
@@ -174,18 +182,28 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     Ok(exit)
 }
 
-/// Looks at one picture, and writes the stages if that was asked for.
+/// Looks at one picture; the stages' tensors come along if they were asked for.
 fn look(
     detector: &GpuDetector,
     source: &Source,
     picture: &DynamicImage,
     args: &Args,
-) -> Result<Detections, Failure> {
-    let named = |e| Failure::about(source, &e);
-    let Some(file) = &args.dump_stages else {
-        return detector.detect(picture).map_err(named);
+) -> Result<(Detections, Stages), Failure> {
+    let result = match args.dump_stages {
+        Some(_) => detector.detect_with_stages(picture),
+        None => detector.detect(picture).map(|found| (found, Vec::new())),
     };
-    let (found, stages) = detector.detect_with_stages(picture).map_err(named)?;
+    result.map_err(|e| Failure::about(source, &e))
+}
+
+/// Writes the stages' tensors.
+fn dump(
+    outputs: &Outputs,
+    file: &Path,
+    detector: &GpuDetector,
+    source: &Source,
+    stages: &Stages,
+) -> Result<(), Failure> {
     let config = serde_json::to_string(detector.model())
         .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", file.display())))?;
     let metadata = HashMap::from([
@@ -193,8 +211,13 @@ fn look(
         ("adapter".to_owned(), detector.adapter().to_owned()),
         ("config".to_owned(), config),
     ]);
-    tensors::write(file, stages.iter().map(|(name, value)| (name.as_str(), value)), metadata)?;
-    Ok(found)
+    let stages = stages.iter().map(|(name, value)| (name.as_str(), value));
+    tensors::write(outputs, file, stages, metadata)
+}
+
+/// Tells why something was not written, and gives its share of the exit code.
+fn told(result: Result<(), Failure>) -> Exit {
+    result.map_or_else(|failure| failure.told().exit, |()| Exit::Done)
 }
 
 fn record<'a>(source: &Source, found: &'a Detections, adapter: &'a str) -> Record<'a> {

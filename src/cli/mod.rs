@@ -17,14 +17,16 @@ mod picture;
 mod printable;
 mod simulate;
 mod source;
+mod stdout;
 mod tensors;
 
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use smr_gpu::picture::is_decoding;
 
-use exit::Failure;
+use exit::{Exit, Failure};
 
 /// Finds snap joints in pictures of a GelSight-like tactile sensor, on any GPU.
 #[derive(Debug, Parser)]
@@ -49,16 +51,30 @@ enum Command {
 /// Runs the program.
 pub(crate) fn run() -> ExitCode {
     hush_decoders();
-    let command = match Cli::try_parse() {
-        Ok(cli) => cli.command,
+    let exit = parse_and_run().unwrap_or_else(|Failure { exit, message }| {
+        if let Some(message) = message {
+            output::tell(message);
+        }
+        exit
+    });
+    ExitCode::from(exit as u8)
+}
+
+fn parse_and_run() -> Result<Exit, Failure> {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
         Err(e) if e.use_stderr() => {
             // It repeats the arguments, which the shell may have made of file names.
             e.to_string().lines().for_each(|l| eprintln!("{}", printable::printable(l)));
-            return ExitCode::from(exit::Exit::Usage as u8);
+            return Ok(Exit::Usage);
         }
-        Err(help) => help.exit(),
+        // Help or version.
+        Err(e) => {
+            output::to_stdout(|| e.print().and_then(|()| std::io::stdout().flush()))?;
+            return Ok(Exit::Done);
+        }
     };
-    let result = match command {
+    match cli.command {
         Command::Detect(args) => detect::run(args),
         Command::Devices(args) => devices::run(args),
         Command::Eval(args) => eval::run(args),
@@ -67,14 +83,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Compare(args) => compare::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Calibrate(args) => calibrate::run(args),
-    };
-    let exit = result.unwrap_or_else(|Failure { exit, message }| {
-        if let Some(message) = message {
-            output::tell(message);
-        }
-        exit
-    });
-    ExitCode::from(exit as u8)
+    }
 }
 
 /// A decoder's panic becomes its picture's error, and is no news of its own.

@@ -1,11 +1,12 @@
 //! `smr-gpu simulate`: data sets of simulated pictures.
 
 use std::path::PathBuf;
+use std::sync::Once;
 
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use smr_gpu::sensor::Error;
-use smr_gpu::sensor::dataset::{self, Settings};
+use smr_gpu::sensor::dataset::{self, Progress, Settings, Step};
 use smr_gpu::sensor::scene::Mix;
 
 use super::exit::{Exit, Failure};
@@ -63,9 +64,21 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let Args { out, count, seed, kind } = args;
     let settings = Settings { out, count: count as usize, seed, mix: kind.into() };
     let bar = ProgressBar::new(count.into());
-    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} pictures, {eta} left");
+    let style = ProgressStyle::with_template("{msg} {bar:40} {pos}/{len} pictures, {eta} left");
     bar.set_style(style.map_err(|e| Failure::new(Exit::Output, e))?);
-    let result = dataset::simulate(&settings, &|done, _| {
+    let rendering = Once::new();
+    let result = dataset::simulate(&settings, &|Progress { step, done, all }| {
+        match step {
+            Step::Check => bar.set_message("checking"),
+            // The time left is of this step alone.
+            Step::Render => rendering.call_once(|| {
+                bar.reset();
+                bar.set_message("rendering");
+                bar.set_position(done as u64);
+                bar.reset_eta();
+            }),
+        }
+        bar.set_length(all as u64);
         // Threads report out of order.
         bar.set_position(bar.position().max(done as u64));
     });
@@ -83,7 +96,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
 fn exit_of(error: &Error) -> Exit {
     match error {
         Error::OtherDataset { .. } => Exit::Usage,
-        // The simulator reads nothing but what it wrote.
+        // The simulator reads nothing but what it wrote, and another run may write there.
         _ => Exit::Output,
     }
 }

@@ -17,7 +17,7 @@ pub(super) fn open(path: &Path) -> Result<(File, u64), Error> {
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::custom_flags(
         &mut options,
-        libc::O_NONBLOCK | libc::O_NOCTTY,
+        rustix::fs::OFlags::NONBLOCK.union(rustix::fs::OFlags::NOCTTY).bits() as i32,
     );
     let file = options.open(path)?;
     let metadata = file.metadata()?;

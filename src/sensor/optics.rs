@@ -187,6 +187,11 @@ fn turn_channel(channel: &Channel, m: &[[f64; 2]; 2]) -> Channel {
     turned
 }
 
+/// Least share of a term, squared and summed over the observations, that the terms before it leave
+/// unexplained. With less than this, noise weighs over a thousand times as much in its coefficient
+/// as in that of a term that stands alone.
+const LEAST_INDEPENDENT: f64 = 1e-6;
+
 /// Least squares for the coefficients of one channel, by the normal equations.
 pub struct Fit {
     matrix: Vec<f64>,
@@ -235,6 +240,31 @@ impl Fit {
         for (a, b) in self.right.iter_mut().zip(&other.right) {
             *a += b;
         }
+    }
+
+    /// Number of coefficients, at most [`TERMS`], that the observations determine: terms that are
+    /// no combination of those before them, by the pivots of Cholesky's factorisation with every
+    /// term scaled to unit length.
+    pub fn rank(&self) -> usize {
+        let n = TERMS;
+        let mut l = vec![0.0; n * n];
+        let mut rank = 0;
+        for i in 0..n {
+            for j in 0..=i {
+                let dot: f64 = (0..j).map(|k| l[i * n + k] * l[j * n + k]).sum();
+                let length = (self.matrix[i * n + i] * self.matrix[j * n + j]).sqrt();
+                let value = self.matrix[i * n + j] / length - dot;
+                if i != j {
+                    let pivot = l[j * n + j];
+                    l[i * n + j] = if pivot > 0.0 { value / pivot } else { 0.0 };
+                } else if value > LEAST_INDEPENDENT {
+                    // A term that is zero everywhere makes a NaN, which is not greater.
+                    l[i * n + i] = value.sqrt();
+                    rank += 1;
+                }
+            }
+        }
+        rank
     }
 
     /// The coefficients that fit best, by Cholesky's factorisation. A ridge of 1e-6 of the mean

@@ -21,7 +21,7 @@
 //!
 //! | module | what it holds |
 //! |---|---|
-//! | [`error`], [`shape`], [`tensor`] | typed errors, shapes, tensors in host memory |
+//! | [`error`], [`inputs`], [`shape`], [`tensor`] | typed errors, reading files, shapes, tensors |
 //! | [`cpu`] | the reference of each operation: from its definition, with f64 sums |
 //! | [`gpu`] | the device, shaders and their reflection, recordings, plans; alone to name wgpu |
 //! | [`ops`] | each operation: parameters, shape check, dispatches, error bound, cases |
@@ -30,6 +30,7 @@
 //! | [`comparison`] | the whole network on a device, stage by stage, against the f64 reference |
 //! | [`detector`] | [`GpuDetector`] |
 //! | [`sensor`] | the simulated sensor: gel, contact, optics, camera, snaps |
+//! | [`coco`] | labelled pictures from COCO annotations |
 //! | [`metrics`] | intersection over union, average precision, centre error |
 //!
 //! An operation is one stem in four places: `wgsl/conv2d.wgsl`, `src/ops/conv2d.rs`,
@@ -43,12 +44,14 @@
 //! does not publish.
 #![warn(missing_docs)]
 
+pub mod coco;
 pub mod comparison;
 pub mod cpu;
 pub mod detector;
 pub mod error;
 pub mod gpu;
 pub mod graph;
+pub mod inputs;
 pub mod metrics;
 pub mod model;
 pub mod ops;

@@ -5,11 +5,15 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use safetensors::{Dtype, SafeTensors, View};
+use smr_gpu::inputs;
 use smr_gpu::shape::{DType, Shape, TensorSpec};
 use smr_gpu::tensor::{Tensor, Value};
 
 use super::exit::{Exit, Failure};
 use super::output::cannot_write;
+
+/// Longest file that is read.
+const MAX_BYTES: u64 = 1 << 30;
 
 /// Reads every tensor of a file. F16 and F32 become f32; U32, I32 and I64 become u32.
 ///
@@ -18,7 +22,7 @@ use super::output::cannot_write;
 pub(super) fn read(path: &Path) -> Result<BTreeMap<String, Value>, Failure> {
     let failed =
         |message: String| Failure::new(Exit::Inputs, format!("{}: {message}", path.display()));
-    let bytes = std::fs::read(path).map_err(|e| failed(e.to_string()))?;
+    let bytes = inputs::read(path, MAX_BYTES).map_err(|e| failed(e.to_string()))?;
     let file = SafeTensors::deserialize(&bytes)
         .map_err(|e| failed(format!("expected a whole safetensors file, got an error: {e}")))?;
     file.iter()

@@ -490,7 +490,7 @@ fn evaluation_counts_misses_and_names_unreadable_pictures() {
     assert_eq!((&b["snaps"], &b["mean_best_iou"]), (&0.into(), &Value::Null));
     // The paper's figures are of its own snaps, not of any class with such a name.
     assert_eq!(a["paper"], Value::Null);
-    let arguments = ["eval", "--data", ".", "--json", "--device", "cpu"];
+    let arguments = ["eval", "--data", ".", "--json", "--device", "cpu", "--size", "32"];
     let with_paper = [&arguments[..], &["--paper"]].concat();
     let report = &run(folder.path(), &with_paper).expect(1).json()[0];
     assert_eq!(report["classes"][0]["paper"]["mean_iou"], 0.9178);

@@ -38,11 +38,18 @@ impl Default for Device {
 }
 
 impl std::str::FromStr for Device {
-    type Err = std::convert::Infallible;
+    type Err = Error;
 
     /// `auto`, `cpu`, an adapter's index, or part of its name.
-    fn from_str(text: &str) -> std::result::Result<Self, Self::Err> {
-        Ok(match text {
+    ///
+    /// # Errors
+    /// [`Error::Param`] for a blank, which is part of every name.
+    fn from_str(text: &str) -> Result<Self> {
+        Ok(match text.trim() {
+            "" => {
+                let expected = "`auto`, `cpu`, an adapter's index or part of its name";
+                return Err(Error::param("detect", "device", expected, format!("`{text}`")));
+            }
             "auto" => Self::default(),
             "cpu" => Self::Cpu,
             other => Self::Gpu(match other.parse() {

@@ -22,7 +22,7 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`error`], [`shape`], [`tensor`] | typed errors, shapes, tensors in host memory |
-//! | [`files`] | writing files: whole or not at all, and never an input |
+//! | [`files`] | reading files that are files, of a size looked at first; writing them whole or not at all |
 //! | [`cpu`] | the reference of each operation: from its definition, with f64 sums |
 //! | [`gpu`] | the device, shaders and their reflection, recordings, plans; alone to name wgpu |
 //! | [`ops`] | each operation: parameters, shape check, dispatches, error bound, cases |
@@ -32,6 +32,7 @@
 //! | [`detector`] | [`GpuDetector`] |
 //! | [`picture`] | pictures from files that nobody vouches for |
 //! | [`sensor`] | the simulated sensor: gel, contact, optics, camera, snaps |
+//! | [`coco`] | labelled pictures from COCO annotations |
 //! | [`metrics`] | intersection over union, average precision, centre error |
 //!
 //! An operation is one stem in four places: `wgsl/conv2d.wgsl`, `src/ops/conv2d.rs`,
@@ -45,6 +46,7 @@
 //! does not publish.
 #![warn(missing_docs)]
 
+pub mod coco;
 pub mod comparison;
 pub mod cpu;
 pub mod detector;

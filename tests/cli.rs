@@ -37,6 +37,21 @@ fn wrong_command_lines_are_usage_errors() {
         (&["detect", "x.png", "--iou", "half"], "expected a number from 0 to 1"),
         (&["detect", "x.png", "--timeout", "NaN"], "expected a number of seconds"),
         (&["detect", "x.png", "--timeout=-1"], "expected a number of seconds"),
+        (
+            &["detect", "x.png", "--timeout", "86401"],
+            "expected a number of seconds from 0 to 86400",
+        ),
+        (
+            &["detect", "x.png", "--timeout", "1e300"],
+            "expected a number of seconds from 0 to 86400",
+        ),
+        (&["detect", "x.png", "--timeout", "inf"], "expected a number of seconds from 0 to 86400"),
+        (&["detect", "x.png", "--size", "0"], "expected a multiple of 32 from 32 to 1440"),
+        (&["detect", "x.png", "--size", "100"], "expected a multiple of 32 from 32 to 1440"),
+        (&["detect", "x.png", "--size", "1472"], "expected a multiple of 32 from 32 to 1440"),
+        (&["detect", "x.png", "--size", "99999999999999999999"], "expected a multiple of 32"),
+        (&["detect", "x.png", "--device", ""], "an adapter's index or part of its name, got ``"),
+        (&["check", "--device", " \t"], "an adapter's index or part of its name"),
         (&["detect", "x.png", "--max-det", "0"], "1..=100"),
         (&["detect", "x.png", "--max-det", "101"], "1..=100"),
         (&["detect", "x.png", "--class", "C"], "expected A, B, got `C`"),
@@ -48,6 +63,8 @@ fn wrong_command_lines_are_usage_errors() {
         (&["op", "nope", "in", "out"], "got `nope`"),
         (&["check", "nope"], "got `nope`"),
         (&["eval", "--data", ".", "--limit", "0"], "--limit"),
+        (&["eval", "--data", ".", "--limit", "4294967296"], "--limit"),
+        (&["eval", "--data", ".", "--conf", "NaN"], "expected a number from 0 to 1"),
         (&["check", "--device", "cpu"], "expected a GPU"),
     ];
     for (arguments, phrase) in cases {
@@ -139,7 +156,8 @@ fn weights_are_looked_for_where_the_readme_says() {
 fn missing_devices_are_named() {
     let folder = folder();
     ramp(8, 8).save(folder.path().join("x.png")).expect("saved");
-    run(folder.path(), &["detect", "x.png", "--device", "99"]).expect(4).tells("`99`");
+    // An index past the end is told what there is.
+    run(folder.path(), &["detect", "x.png", "--device", "99"]).expect(4).tells("`99`: found 0: ");
     run(folder.path(), &["check", "--device", "no such GPU"]).expect(4).tells("`no such GPU`");
     let arguments = ["detect", "x.png", "--device", "0"];
     run_without_adapter(folder.path(), &arguments).expect(4).tells("none was found");
@@ -397,7 +415,37 @@ fn evaluation_counts_misses_and_names_unreadable_pictures() {
     assert_eq!((&a["class"], &a["snaps"], &a["right"]), (&"A".into(), &1.into(), &0.into()));
     assert_eq!((&a["mean_best_iou"], &a["ap50"]), (&0.0.into(), &0.0.into()));
     assert_eq!((&b["snaps"], &b["mean_best_iou"]), (&0.into(), &Value::Null));
-    assert_eq!(a["paper"]["mean_iou"], 0.9178);
+    // The paper's figures are of its own snaps, not of any class with such a name.
+    assert_eq!(a["paper"], Value::Null);
+    let arguments = ["eval", "--data", ".", "--json", "--device", "cpu", "--size", "32"];
+    let with_paper = [&arguments[..], &["--paper"]].concat();
+    let report = &run(folder.path(), &with_paper).expect(1).json()[0];
+    assert_eq!(report["classes"][0]["paper"]["mean_iou"], 0.9178);
+
+    // As a crowd the first is no snap to be found.
+    let crowd = labels.to_string().replace("\"image_id\":7", "\"image_id\":7,\"iscrowd\":1");
+    fs::write(&file, crowd).expect("written");
+    let report = &run(folder.path(), &arguments).expect(1).json()[0];
+    assert_eq!((&report["classes"][0]["snaps"], &report["all"]["snaps"]), (&0.into(), &0.into()));
+
+    // What tests/coco.rs has more of: annotations that are refused, by the file's name.
+    for (from, to, phrase) in [
+        ("[70,0,2,2]", "[70,0,-2,2]", "annotations.json: annotation 1: expected a bbox"),
+        ("\"gone.png\"", "\"../gone.png\"", "expected a file_name inside the folder"),
+        ("\"gone.png\"", "\"images/0.png\"", "which is image 7's"),
+    ] {
+        let text = labels.to_string();
+        assert!(text.contains(from), "{text}");
+        fs::write(&file, text.replace(from, to)).expect("written");
+        run(folder.path(), &arguments).expect(1).tells(phrase);
+    }
+    // Refused before it is opened: nobody writes into the pipe.
+    fs::remove_file(&file).expect("removed");
+    std::process::Command::new("mkfifo").arg(&file).status().expect("mkfifo");
+    run(folder.path(), &arguments)
+        .expect(1)
+        .tells("annotations.json: expected a file, got a named pipe");
+    fs::remove_file(&file).expect("removed");
 
     let renamed = labels.to_string().replace("\"name\":\"b\"", "\"name\":\"screw\"");
     fs::write(&file, renamed).expect("written");

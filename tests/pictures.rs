@@ -508,7 +508,7 @@ mod paths {
         // Opening it would wait for a writer.
         let pipe = folder.path().join("pipe.png");
         assert!(Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
-        refused(&pipe, "expected a file, got a pipe");
+        refused(&pipe, "expected a file, got a named pipe");
         let socket = folder.path().join("socket.png");
         let _listener = UnixListener::bind(&socket).expect("a socket");
         refused(&socket, "expected a file, got a socket");
@@ -571,7 +571,7 @@ fn odd_names_and_entries_of_a_folder() {
     for line in [
         r"smr-gpu: ./bad\u{1b}]0;x\u{7}\n.png: expected a PNG, JPEG, BMP or TIFF picture, got something else",
         "smr-gpu: ./broken.png: No such file or directory (os error 2)",
-        "smr-gpu: ./pipe.png: expected a file, got a pipe",
+        "smr-gpu: ./pipe.png: expected a file, got a named pipe",
     ] {
         assert!(stderr.lines().any(|l| l == line), "no `{line}` in:\n{stderr}");
     }

@@ -87,14 +87,14 @@ fn list(entry: &Entry) -> Result<(), Failure> {
     line(entry.name)?;
     line(format!("   takes   {}", entry.takes))?;
     line(format!("   gives   {}", entry.gives))?;
-    if entry.params.is_empty() {
-        return Ok(());
+    for param in entry.params.iter().filter(|p| !p.by_tensors) {
+        let Param { name, value, range, .. } = param;
+        line(match param.required {
+            true => format!("   param   {name}: {range}; required, such as {value}"),
+            false => format!("   param   {name}={value}: {range}"),
+        })?;
     }
-    let text = |p: &Param| match p.required {
-        true => format!("{} (required, such as {})", p.name, p.value),
-        false => format!("{}={}", p.name, p.value),
-    };
-    line(format!("   params  {}", entry.params.iter().map(text).collect::<Vec<_>>().join(", ")))
+    Ok(())
 }
 
 /// The operation's inputs in its order; every tensor of the file must be one.

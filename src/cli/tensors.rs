@@ -5,11 +5,14 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use safetensors::{Dtype, SafeTensors, View};
-use smr_gpu::files::Outputs;
+use smr_gpu::files::{self, Outputs};
 use smr_gpu::shape::{DType, Shape, TensorSpec};
 use smr_gpu::tensor::{Tensor, Value};
 
 use super::exit::{Exit, Failure};
+
+/// Longest file that is read.
+const MAX_BYTES: u64 = 1 << 30;
 
 /// Reads every tensor of a file. F16 and F32 become f32; U32, I32 and I64 become u32.
 ///
@@ -18,7 +21,7 @@ use super::exit::{Exit, Failure};
 pub(super) fn read(path: &Path) -> Result<BTreeMap<String, Value>, Failure> {
     let failed =
         |message: String| Failure::new(Exit::Inputs, format!("{}: {message}", path.display()));
-    let bytes = std::fs::read(path).map_err(|e| failed(e.to_string()))?;
+    let bytes = files::read(path, MAX_BYTES).map_err(|e| failed(e.to_string()))?;
     let file = SafeTensors::deserialize(&bytes)
         .map_err(|e| failed(format!("expected a whole safetensors file, got an error: {e}")))?;
     file.iter()

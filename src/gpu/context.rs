@@ -123,8 +123,12 @@ async fn list() -> Vec<wgpu::Adapter> {
     found
 }
 
+/// The first adapter whose name has this part; a blank is a part of none.
 fn named<'a>(found: &'a [wgpu::Adapter], part: &str) -> Option<&'a wgpu::Adapter> {
-    let part = part.to_lowercase();
+    let part = part.trim().to_lowercase();
+    if part.is_empty() {
+        return None;
+    }
     found.iter().find(|a| a.get_info().name.to_lowercase().contains(&part))
 }
 
@@ -167,7 +171,9 @@ impl Gpu {
             found: match found.is_empty() {
                 true => "none was found".into(),
                 false => {
-                    format!("found {}", found.iter().map(describe).collect::<Vec<_>>().join(", "))
+                    let all = found.iter().map(describe).enumerate();
+                    let all: Vec<_> = all.map(|(i, name)| format!("{i}: {name}")).collect();
+                    format!("found {}", all.join(", "))
                 }
             },
         };

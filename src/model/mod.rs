@@ -12,9 +12,11 @@ mod weights;
 pub use config::{ModelConfig, Variant};
 pub use roi_head::Thresholds;
 pub use rpn::Candidates;
-pub use weights::Weights;
+pub use weights::{MAX_FILE, Weights};
 
-use crate::error::Result;
+use backbone::Features;
+
+use crate::error::{Error, Result};
 use crate::gpu::TensorId;
 use crate::graph::Graph;
 use crate::ops::CropResize;
@@ -60,9 +62,12 @@ impl Network {
     /// Builds the network from `weights` for pictures of at most `capacity` pixels.
     ///
     /// # Errors
-    /// [`crate::Error::Weights`] for tensors that are missing, misshapen or left over.
+    /// [`Error::Weights`] for a configuration out of its ranges and for tensors that are missing,
+    /// misshapen or left over.
     pub fn new(mut weights: Weights, capacity: usize, thresholds: Thresholds) -> Result<Self> {
         let config = weights.config().clone();
+        // Untrained weights come with a configuration that nothing has looked at yet.
+        config.check().map_err(|message| Error::Weights { file: "weights".into(), message })?;
         let mut graph = Graph::default();
         let picture = graph.input("picture", TensorSpec::u32([capacity]), Extent::UpTo);
         let crop = graph.input("crop", TensorSpec::u32([5]), Extent::Exact);
@@ -70,10 +75,9 @@ impl Network {
         let resize = CropResize { size: config.input_size, mean: config.mean, std: config.std };
         let input = graph.apply1("input", resize, &[picture, crop])?;
         let features = backbone::backbone(&mut graph, &mut weights, input)?;
-        let (fused, scales) = match config.variant.msff {
-            true => fusion::fusion(&mut graph, &mut weights, features)?,
-            // The ablation without MSFF-Net: conv4_x alone, which has 256 channels at stride 16.
-            false => (features[1], None),
+        let (fused, scales) = match features {
+            Features::Scales(scales) => fusion::fusion(&mut graph, &mut weights, scales)?,
+            Features::Conv4(map) => (map, None),
         };
         let proposals = rpn::rpn(&mut graph, &mut weights, fused)?;
         let head = roi_head::roi_head(&mut graph, &mut weights, fused, proposals, thresholds)?;

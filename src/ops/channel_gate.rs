@@ -5,8 +5,8 @@ use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{magnitude, sigmoid_error, sum_error};
 use crate::ops::case::{Case, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, dims, expect, expect_inputs};
-use crate::ops::params::Params as Named;
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, dims, expect};
+use crate::ops::params::{Params as Named, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::Value;
 
@@ -45,8 +45,12 @@ const CAPACITY: usize = 1024;
 pub struct ChannelGate;
 
 impl Op for ChannelGate {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        Settings::new()
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -57,8 +61,7 @@ impl Op for ChannelGate {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
         let [rows, channels] = dims(name, "pooled", &inputs[0], DType::F32)?;
         if rows != 2 || channels == 0 {

@@ -5,8 +5,8 @@ use crate::error::Result;
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{magnitude, mean_error};
 use crate::ops::case::{Case, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect_inputs, map_dims};
-use crate::ops::params::Params as Named;
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, map_dims};
+use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::{Tensor, Value};
 
@@ -41,8 +41,12 @@ pub static ENTRY: Entry = Entry {
 pub struct ChannelPool;
 
 impl Op for ChannelPool {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        Settings::new()
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -53,8 +57,7 @@ impl Op for ChannelPool {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let [channels, ..] = map_dims(self.name(), "input", &inputs[0])?;
         Ok(vec![TensorSpec::f32([2, channels])])
     }

@@ -5,8 +5,8 @@ use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, MAX_WORKGROUPS, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{magnitude, sum_error};
 use crate::ops::case::{Case, random};
-use crate::ops::op::{Entry, Op, Tolerance, dims, expect, expect_inputs};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -37,10 +37,10 @@ pub static ENTRY: Entry = Entry {
     takes: "input [I, H, W], weight [O, I, kh, kw]; optional: bias [O], residual [O, H', W']",
     gives: "output [O, H', W']",
     params: &[
-        Param::optional("stride", "1"),
-        Param::optional("padding", "0"),
-        Param::optional("dilation", "1"),
-        Param::optional("relu", "false"),
+        Param::optional("stride", "1", Range::Whole(1, MAX_PARAM)),
+        Param::optional("padding", "0", Range::Whole(0, MAX_PARAM)),
+        Param::optional("dilation", "1", Range::Whole(1, MAX_PARAM)),
+        Param::optional("relu", "false", Range::Flag),
     ],
     shader: &SHADER,
     build,
@@ -48,7 +48,7 @@ pub static ENTRY: Entry = Entry {
 };
 
 /// Largest stride, dilation and padding: far past any use, and safe in the shader's u32 arithmetic.
-const MAX_PARAM: usize = 4096;
+const MAX_PARAM: u64 = 4096;
 /// Output channels that one workgroup computes.
 const CHANNELS: usize = 64;
 /// Output pixels that one workgroup computes.
@@ -94,8 +94,17 @@ impl Conv2d {
 }
 
 impl Op for Conv2d {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![
+            ("stride", self.stride.into()),
+            ("padding", self.padding.into()),
+            ("dilation", self.dilation.into()),
+            ("relu", self.relu.into()),
+        ]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -109,23 +118,12 @@ impl Op for Conv2d {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
-        for (param, value, least) in [
-            ("stride", self.stride, 1),
-            ("dilation", self.dilation, 1),
-            ("padding", self.padding, 0),
-        ] {
-            if !(least..=MAX_PARAM).contains(&value) {
-                let expected = format!("{least} to {MAX_PARAM}");
-                return Err(Error::param(name, param, expected, value));
-            }
-        }
         let (input, weight, bias, residual) = self.split(inputs);
         let [in_c, in_h, in_w] = dims(name, "input", input, DType::F32)?;
         let [out_c, weight_c, kh, kw] = dims(name, "weight", weight, DType::F32)?;
-        if weight_c != in_c || out_c * in_c * kh * kw == 0 {
+        if weight_c != in_c || [out_c, in_c, kh, kw].contains(&0) {
             let expected = format!("[O, {in_c}, kh, kw] without a zero");
             return Err(Error::tensor(name, "weight", expected, weight));
         }

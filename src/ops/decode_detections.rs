@@ -6,8 +6,8 @@ use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::boxes::{decode_bound, row};
 use crate::ops::case::{Case, integers, random, random_boxes, values};
 use crate::ops::count::{expect_count, live};
-use crate::ops::op::{Entry, Op, Tolerance, dims, expect, expect_inputs};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -37,9 +37,10 @@ pub static ENTRY: Entry = Entry {
     takes: "rois [R, 4], deltas [R, 4C], probabilities [R, C], count u32 [1]",
     gives: "boxes [R(C - 1), 4], scores [R(C - 1)], classes u32 [R(C - 1)], count u32 [1]",
     params: &[
-        Param::required("width", "320"),
-        Param::required("height", "320"),
-        Param::optional("class_mask", "4294967295"),
+        Param::required("width", "320", Range::Whole(1, 65_536)),
+        Param::required("height", "320", Range::Whole(1, 65_536)),
+        Param::optional("weights", "10,10,5,5", Range::Numbers(1e-3, 1e3)),
+        Param::optional("class_mask", "4294967295", Range::Whole(0, u32::MAX as u64)),
     ],
     shader: &SHADER,
     build,
@@ -87,8 +88,17 @@ impl DecodeDetections {
 }
 
 impl Op for DecodeDetections {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![
+            ("width", self.width.into()),
+            ("height", self.height.into()),
+            ("weights", self.weights[..].into()),
+            ("class_mask", self.class_mask.into()),
+        ]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -99,12 +109,8 @@ impl Op for DecodeDetections {
         vec!["boxes", "scores", "classes", "count"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
-        if !self.weights.iter().all(|w| *w > 0.0) {
-            return Err(Error::param(name, "weights", "above 0", format!("{:?}", self.weights)));
-        }
         let [rois, classes] = dims(name, "probabilities", &inputs[2], DType::F32)?;
         if rois == 0 || classes < 2 {
             let expected = "f32 [R, classes] with R above 0 and at least 2 classes";
@@ -211,11 +217,12 @@ impl Op for DecodeDetections {
 }
 
 fn build(params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
+    let default = DecodeDetections::default();
     Ok(Box::new(DecodeDetections {
         width: params.require("width")?,
         height: params.require("height")?,
-        class_mask: params.take("class_mask", u32::MAX)?,
-        ..DecodeDetections::default()
+        weights: params.take_array("weights", default.weights)?,
+        class_mask: params.take("class_mask", default.class_mask)?,
     }))
 }
 

@@ -6,8 +6,8 @@ use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::boxes::decode_bound;
 use crate::ops::case::{Case, integers, random, random_integers, values};
 use crate::ops::count::{expect_count, live};
-use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect, expect_inputs};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -35,15 +35,18 @@ pub static ENTRY: Entry = Entry {
     takes: "deltas [4A, H, W], scores [K], indices u32 [K], count u32 [1]",
     gives: "boxes [K, 4], scores [K]",
     params: &[
-        Param::required("anchors", "-16,-16,16,16"),
-        Param::required("stride", "8"),
-        Param::required("width", "320"),
-        Param::required("height", "320"),
+        Param::required("anchors", "-16,-16,16,16", Range::Numbers(-65_536.0, 65_536.0)),
+        Param::required("stride", "8", Range::Whole(1, 4096)),
+        Param::required("width", "320", Range::Whole(1, 65_536)),
+        Param::required("height", "320", Range::Whole(1, 65_536)),
     ],
     shader: &SHADER,
     build,
     cases,
 };
+
+/// Most anchors of a cell: far past any use.
+const MAX_ANCHORS: usize = 1024;
 
 /// Boxes of the chosen anchors, clipped to the picture, and their objectness.
 ///
@@ -71,8 +74,17 @@ impl DecodeProposals {
 }
 
 impl Op for DecodeProposals {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![
+            ("anchors", self.anchors.as_flattened().into()),
+            ("stride", self.stride.into()),
+            ("width", self.width.into()),
+            ("height", self.height.into()),
+        ]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -83,11 +95,15 @@ impl Op for DecodeProposals {
         vec!["boxes", "scores"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
-        if self.anchors.is_empty() {
-            return Err(Error::param(name, "anchors", "at least one", "none"));
+        if !(1..=MAX_ANCHORS).contains(&self.anchors.len()) {
+            let expected = format!("at least one, at most {MAX_ANCHORS}");
+            return Err(Error::param(name, "anchors", expected, self.anchors.len()));
+        }
+        if let Some(anchor) = self.anchors.iter().find(|[x1, y1, x2, y2]| x1 >= x2 || y1 >= y2) {
+            let expected = "x1 below x2 and y1 below y2";
+            return Err(Error::param(name, "anchors", expected, format!("{anchor:?}")));
         }
         let [channels, h, w] = dims(name, "deltas", &inputs[0], DType::F32)?;
         if channels != 4 * self.anchors.len() || h * w == 0 {

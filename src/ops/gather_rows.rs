@@ -5,8 +5,8 @@ use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, integers, random, random_integers, values};
 use crate::ops::count::{expect_count, live};
-use crate::ops::op::{Entry, Op, Tolerance, dims, expect_inputs};
-use crate::ops::params::Params as Named;
+use crate::ops::op::{Entry, Op, Tolerance, dims};
+use crate::ops::params::{Params as Named, Settings};
 use crate::shape::{DType, Shape, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -53,8 +53,12 @@ fn layout(dims: &[usize]) -> Option<(usize, usize)> {
 }
 
 impl Op for GatherRows {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        Settings::new()
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -65,8 +69,7 @@ impl Op for GatherRows {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let rows = &inputs[0];
         if layout(&rows.shape.0).is_none() {
             let expected = "[N] or [N, M] without a zero";

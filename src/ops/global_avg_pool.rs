@@ -1,12 +1,12 @@
 //! Average pooling over all of space.
 
 use crate::cpu;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{magnitude, mean_error};
 use crate::ops::case::{Case, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect_inputs, map_dims};
-use crate::ops::params::Params as Named;
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, map_dims};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::{Tensor, Value};
 
@@ -29,7 +29,7 @@ pub static ENTRY: Entry = Entry {
     name: "global_avg_pool",
     takes: "map0 [C0, H, W]; optional: map1, map2",
     gives: "output [C0 + C1 + C2]",
-    params: &[],
+    params: &[Param::by_tensors("maps", Range::Whole(1, MAPS.len() as u64))],
     shader: &SHADER,
     build,
     cases,
@@ -49,8 +49,12 @@ pub struct GlobalAvgPool {
 const MAPS: [&str; 3] = ["map0", "map1", "map2"];
 
 impl Op for GlobalAvgPool {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![("maps", self.maps.into())]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -61,11 +65,7 @@ impl Op for GlobalAvgPool {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        if !(1..=MAPS.len()).contains(&self.maps) {
-            return Err(Error::param(self.name(), "maps", "1 to 3", self.maps));
-        }
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let mut total = 0;
         for (name, input) in MAPS.into_iter().zip(inputs) {
             let [channels, ..] = map_dims(self.name(), name, input)?;

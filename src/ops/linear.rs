@@ -7,8 +7,8 @@ use crate::ops::bounds::{magnitude, sum_error};
 use crate::ops::case::{Case, integers, random, values};
 use crate::ops::count::{count_tensor, expect_count, live, row_grid};
 use crate::ops::indirect_grid::IndirectGrid;
-use crate::ops::op::{Entry, Op, Tolerance, dims, expect, expect_inputs};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -32,7 +32,7 @@ pub static ENTRY: Entry = Entry {
     name: "linear",
     takes: "input [N, K], weight [O, K], bias [O]; optional: count u32 [1]",
     gives: "output [N, O]",
-    params: &[Param::optional("relu", "false")],
+    params: &[Param::optional("relu", "false", Range::Flag)],
     shader: &SHADER,
     build,
     cases,
@@ -61,8 +61,12 @@ pub struct Linear {
 }
 
 impl Op for Linear {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![("relu", self.relu.into())]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -75,13 +79,12 @@ impl Op for Linear {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
         let [outputs, inner] = dims(name, "weight", &inputs[1], DType::F32)?;
         let shape = &inputs[0].shape;
         let fits = shape.rank() >= 2 && shape.0[1..].iter().product::<usize>() == inner;
-        if !fits || shape.elements() * outputs == 0 || inputs[0].dtype != DType::F32 {
+        if !fits || shape.elements() == 0 || outputs == 0 || inputs[0].dtype != DType::F32 {
             let expected = format!("f32 [R, …] with {inner} elements a row, none zero");
             return Err(Error::tensor(name, "input", expected, &inputs[0]));
         }

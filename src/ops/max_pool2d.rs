@@ -4,8 +4,8 @@ use crate::cpu;
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect_inputs, map_dims};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, map_dims};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
@@ -34,9 +34,9 @@ pub static ENTRY: Entry = Entry {
     takes: "input [C, H, W]",
     gives: "output [C, H', W']",
     params: &[
-        Param::required("kernel", "3"),
-        Param::optional("stride", "kernel"),
-        Param::optional("padding", "0"),
+        Param::required("kernel", "3", Range::Whole(1, 4096)),
+        Param::optional("stride", "kernel", Range::Whole(1, 4096)),
+        Param::optional("padding", "0", Range::Whole(0, 2048)),
     ],
     shader: &SHADER,
     build,
@@ -58,8 +58,16 @@ pub struct MaxPool2d {
 }
 
 impl Op for MaxPool2d {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![
+            ("kernel", self.kernel.into()),
+            ("stride", self.stride.into()),
+            ("padding", self.padding.into()),
+        ]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -70,14 +78,8 @@ impl Op for MaxPool2d {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
-        for (param, value) in [("kernel", self.kernel), ("stride", self.stride)] {
-            if !(1..=4096).contains(&value) {
-                return Err(Error::param(name, param, "1 to 4096", value));
-            }
-        }
         if self.padding > self.kernel / 2 {
             let expected = format!("at most half the kernel ({})", self.kernel / 2);
             return Err(Error::param(name, "padding", expected, self.padding));

@@ -5,14 +5,22 @@ use std::fmt::Debug;
 use crate::error::{Error, Result};
 use crate::gpu::{Recording, Shader, TensorId};
 use crate::ops::case::Case;
-use crate::ops::params::{Param, Params};
+use crate::ops::params::{Param, Params, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
 /// One operation with its parameters.
 pub trait Op: Debug + Send + Sync {
+    /// The operation's entry in [`crate::ops::OPS`].
+    fn entry(&self) -> &'static Entry;
+
     /// Stem of the operation's files.
-    fn name(&self) -> &'static str;
+    fn name(&self) -> &'static str {
+        self.entry().name
+    }
+
+    /// The value of each of the entry's parameters, in their order.
+    fn settings(&self) -> Settings;
 
     /// Names of the inputs that this instance takes, in order.
     fn inputs(&self) -> Vec<&'static str>;
@@ -20,11 +28,31 @@ pub trait Op: Debug + Send + Sync {
     /// Names of the outputs, in order.
     fn outputs(&self) -> Vec<&'static str>;
 
-    /// Checks the inputs' shapes and types and tells the outputs'.
+    /// Checks the parameters and the inputs' shapes and types, and tells the outputs'.
     ///
     /// # Errors
-    /// [`Error::Tensor`] or [`Error::Param`] that names what does not fit.
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>>;
+    /// [`Error::Param`] or [`Error::Tensor`] that names what does not fit, [`Error::Capacity`] for
+    /// a tensor whose elements a u32 does not count: so shaders count.
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        check_settings(self)?;
+        let names = self.inputs();
+        expect_inputs(self.name(), &names, inputs.len())?;
+        for (name, spec) in names.into_iter().zip(inputs) {
+            check_size(self.name(), name, spec)?;
+        }
+        let outputs = self.shapes(inputs)?;
+        for (name, spec) in self.outputs().into_iter().zip(&outputs) {
+            check_size(self.name(), name, spec)?;
+        }
+        Ok(outputs)
+    }
+
+    /// What [`Op::infer`] leaves to the operation: `inputs` are as many as it names, and its
+    /// parameters are each in its range. Products of a tensor's dimensions fit in a u32.
+    ///
+    /// # Errors
+    /// As [`Op::infer`].
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>>;
 
     /// Appends the dispatches that compute `outputs` from `inputs`, whose shapes `infer` accepted.
     ///
@@ -90,7 +118,7 @@ pub struct Entry {
     pub takes: &'static str,
     /// Its outputs, likewise.
     pub gives: &'static str,
-    /// The parameters that [`Entry::build`] takes.
+    /// Its parameters with their ranges; [`Entry::build`] takes them but those by tensors.
     pub params: &'static [Param],
     /// Its shader.
     pub shader: &'static Shader,
@@ -100,14 +128,33 @@ pub struct Entry {
     pub cases: fn() -> Vec<Case>,
 }
 
+/// Checks that each parameter is declared, and in its range.
+fn check_settings(op: &(impl Op + ?Sized)) -> Result<()> {
+    let entry = op.entry();
+    for (name, setting) in op.settings() {
+        let declared = entry.params.iter().find(|p| p.name == name);
+        let expected = declared.map_or("a declared parameter".into(), |p| p.range.to_string());
+        if !declared.is_some_and(|p| p.range.admits(&setting)) {
+            return Err(Error::param(entry.name, name, expected, setting));
+        }
+    }
+    Ok(())
+}
+
 /// Checks that as many inputs came as the operation names.
-///
-/// # Errors
-/// [`Error::Tensor`].
-pub fn expect_inputs(op: &dyn Op, got: usize) -> Result<()> {
-    let names = op.inputs();
+fn expect_inputs(op: &str, names: &[&str], got: usize) -> Result<()> {
     if names.len() != got {
-        return Err(Error::tensor(op.name(), &names.join(", "), names.len(), got));
+        return Err(Error::tensor(op, &names.join(", "), names.len(), got));
+    }
+    Ok(())
+}
+
+/// Checks that a u32 counts a tensor's elements, and any part of its dimensions where one is zero.
+fn check_size(op: &str, tensor: &str, spec: &TensorSpec) -> Result<()> {
+    let elements = spec.shape.0.iter().fold(1u64, |n, d| n.saturating_mul((*d).max(1) as u64));
+    if elements > u64::from(u32::MAX) {
+        let what = format!("{op}: elements of `{tensor}`");
+        return Err(Error::Capacity { what, needed: elements, available: u32::MAX.into() });
     }
     Ok(())
 }

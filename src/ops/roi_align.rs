@@ -6,8 +6,8 @@ use crate::gpu::{Dispatch, Recording, Shader, TensorId, shader_params};
 use crate::ops::boxes::row;
 use crate::ops::case::{Case, integers, random, random_boxes, values};
 use crate::ops::count::{count_tensor, expect_count, live, row_grid};
-use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect_inputs};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::op::{EPS, Entry, Op, Tolerance, dims};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -32,9 +32,9 @@ pub static ENTRY: Entry = Entry {
     takes: "features [C, H, W], boxes [N, 4]; optional: count u32 [1]",
     gives: "output [N, C, output_size, output_size]",
     params: &[
-        Param::required("spatial_scale", "0.125"),
-        Param::required("output_size", "7"),
-        Param::optional("sampling_ratio", "2"),
+        Param::required("spatial_scale", "0.125", Range::Number(1e-4, 1e4)),
+        Param::required("output_size", "7", Range::Whole(1, 256)),
+        Param::optional("sampling_ratio", "2", Range::Whole(1, 256)),
     ],
     shader: &SHADER,
     build,
@@ -69,8 +69,16 @@ impl RoiAlign {
 }
 
 impl Op for RoiAlign {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![
+            ("spatial_scale", self.spatial_scale.into()),
+            ("output_size", self.output_size.into()),
+            ("sampling_ratio", self.sampling_ratio.into()),
+        ]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -83,17 +91,10 @@ impl Op for RoiAlign {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
-        let sizes = [("output_size", self.output_size), ("sampling_ratio", self.sampling_ratio)];
-        for (param, value) in sizes {
-            if !(1..=256).contains(&value) {
-                return Err(Error::param(name, param, "1 to 256", value));
-            }
-        }
         let [c, h, w] = dims(name, "features", &inputs[0], DType::F32)?;
-        if c * h * w == 0 {
+        if [c, h, w].contains(&0) {
             let expected = "f32 [C, H, W] without a zero";
             return Err(Error::tensor(name, "features", expected, &inputs[0]));
         }

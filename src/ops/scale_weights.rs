@@ -6,8 +6,8 @@ use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{magnitude, sum_error};
 use crate::ops::case::{Case, random, random_scaled, values};
 use crate::ops::channel_gate::f32s;
-use crate::ops::op::{EPS, Entry, Op, Tolerance, check_inputs, dims, expect, expect_inputs};
-use crate::ops::params::Params as Named;
+use crate::ops::op::{EPS, Entry, Op, Tolerance, check_inputs, dims, expect};
+use crate::ops::params::{Params as Named, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::Value;
 
@@ -50,8 +50,12 @@ const MAX_SCALES: usize = 256;
 pub struct ScaleWeights;
 
 impl Op for ScaleWeights {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        Settings::new()
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -62,8 +66,7 @@ impl Op for ScaleWeights {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
         let [length] = dims(name, "pooled", &inputs[0], DType::F32)?;
         let [hidden, columns] = dims(name, "fc1_weight", &inputs[1], DType::F32)?;

@@ -5,8 +5,8 @@ use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, integers, random, values};
 use crate::ops::count::{count_tensor, expect_count, live, row_grid};
-use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect_inputs};
-use crate::ops::params::Params as Named;
+use crate::ops::op::{EPS, Entry, Op, Tolerance, dims};
+use crate::ops::params::{Params as Named, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -45,8 +45,12 @@ pub struct Softmax {
 }
 
 impl Op for Softmax {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        Settings::new()
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -59,8 +63,7 @@ impl Op for Softmax {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let [rows, columns] = dims(self.name(), "input", &inputs[0], DType::F32)?;
         if rows * columns == 0 {
             let expected = "f32 [R, N] without a zero";

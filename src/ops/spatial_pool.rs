@@ -5,8 +5,8 @@ use crate::error::Result;
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{magnitude, sum_error};
 use crate::ops::case::{Case, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, expect_inputs, map_dims};
-use crate::ops::params::Params as Named;
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, map_dims};
+use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
@@ -45,8 +45,12 @@ const PIXELS: usize = 32;
 pub struct SpatialPool;
 
 impl Op for SpatialPool {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        Settings::new()
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -57,8 +61,7 @@ impl Op for SpatialPool {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let [channels, height, width] = map_dims(self.name(), "input", &inputs[0])?;
         expect(self.name(), "channel_gate", &TensorSpec::f32([channels]), &inputs[1])?;
         Ok(vec![TensorSpec::f32([2, height, width])])

@@ -5,8 +5,8 @@ use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, integers, random, random_integers, values};
 use crate::ops::count::{count_tensor, expect_count, live};
-use crate::ops::op::{Entry, Op, Tolerance, expect_inputs};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::op::{Entry, Op, Tolerance};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -27,7 +27,7 @@ pub static ENTRY: Entry = Entry {
     name: "top_k",
     takes: "scores [N] or [C, H, W]; optional: count u32 [1]",
     gives: "values [K], indices u32 [K], count u32 [1]",
-    params: &[Param::required("k", "1000")],
+    params: &[Param::required("k", "1000", Range::Whole(1, u32::MAX as u64))],
     shader: &SHADER,
     build,
     cases,
@@ -63,8 +63,12 @@ fn layout(dims: &[usize]) -> Option<(usize, usize)> {
 }
 
 impl Op for TopK {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![("k", self.k.into())]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -77,11 +81,7 @@ impl Op for TopK {
         vec!["values", "indices", "count"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
-        if self.k == 0 {
-            return Err(Error::param(self.name(), "k", "at least 1", self.k));
-        }
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let scores = &inputs[0];
         let fits = layout(&scores.shape.0).filter(|_| scores.dtype == DType::F32);
         let Some((channels, area)) = fits else {

@@ -13,7 +13,6 @@
 //!
 //! A build with `panic = "abort"` cannot catch a decoder's panic.
 
-mod file;
 mod jpeg;
 mod png;
 mod tiff;
@@ -28,6 +27,7 @@ use image::codecs::bmp::BmpDecoder;
 use image::{DynamicImage, ImageDecoder, ImageError};
 
 use crate::detector::MAX_PIXELS;
+use crate::files;
 pub use jpeg::MAX_SCANS;
 
 /// Most bytes of a picture as it is stored: [`MAX_PIXELS`] of four channels of 16 bits, and 64 MiB.
@@ -80,10 +80,7 @@ impl fmt::Display for Format {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The path leads to something that is not read.
-    #[error("expected a file, got {0}")]
-    NotAFile(&'static str),
-    /// The operating system's words.
+    /// The operating system's words, or what the path leads to that is no file.
     #[error("{0}")]
     Io(#[from] std::io::Error),
     /// None of the formats.
@@ -136,7 +133,7 @@ pub enum Error {
 /// # Errors
 /// [`Error`]. Pipes, devices, sockets and folders are refused, not opened.
 pub fn read(path: &Path) -> Result<DynamicImage, Error> {
-    let (file, length) = file::open(path)?;
+    let (file, length) = files::open(path)?;
     read_sized(file, length)
 }
 

@@ -60,14 +60,22 @@ def picture_path(folder: Path, name: str) -> Path:
     return folder / name if (folder / name).exists() else folder / "images" / name
 
 
+def content_key(files: list[Path], size: int) -> str:
+    """A digest of what small pictures are made from: the bytes of each file, in order, and the size."""
+    whole = hashlib.blake2b(f"{size} float16".encode(), digest_size=8)
+    for file in files:
+        with open(file, "rb") as picture:
+            whole.update(hashlib.file_digest(picture, "blake2b").digest())
+    return whole.hexdigest()
+
+
 class Chunk:
     """One folder in memory: pictures float16 [N, S, S, 3] in 0 to 255, and boxes and labels a picture, in resized pixels."""
 
     def __init__(self, folder: Path, size: int, cache: Path):
         self.folder = folder
         entries = read_coco(folder)
-        key = hashlib.sha256(f"{folder.resolve()} {size} {len(entries)} float16".encode()).hexdigest()[:16]
-        file = cache / f"{folder.name}-{key}.npz"
+        file = cache / f"{folder.name}-{content_key([picture_path(folder, name) for name, _ in entries], size)}.npz"
         if file.exists():
             with np.load(file) as saved:
                 self.pictures, self.geometry = saved["pictures"], saved["geometry"]

@@ -7,9 +7,11 @@
 
 use std::collections::HashSet;
 use std::ffi::OsStr;
-use std::fs::{self, File, FileType, Metadata};
+use std::fs::{self, File, Metadata};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
+
+use super::kind;
 
 /// Names of files that are not yet whole begin and end so; a run that is killed leaves one.
 const UNFINISHED: [&str; 2] = [".smr-gpu-", ".unfinished"];
@@ -138,29 +140,6 @@ fn replaced(path: &Path) -> Result<Option<Metadata>, Error> {
         None => return Ok(Some(found)),
     };
     Err(Error::NotReplaceable { path: path.to_owned(), found: refused })
-}
-
-/// What a thing is if it is no regular file.
-fn kind(of: FileType) -> Option<&'static str> {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::FileTypeExt;
-        if of.is_fifo() {
-            return Some("a named pipe");
-        }
-        if of.is_char_device() || of.is_block_device() {
-            return Some("a device");
-        }
-        if of.is_socket() {
-            return Some("a socket");
-        }
-    }
-    match of {
-        of if of.is_symlink() => Some("a symbolic link"),
-        of if of.is_dir() => Some("a folder"),
-        of if of.is_file() => None,
-        _ => Some("no file"),
-    }
 }
 
 /// Makes the names in a folder last. Where a folder cannot be read or synced, the system decides.

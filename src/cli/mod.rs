@@ -19,6 +19,7 @@ mod simulate;
 mod source;
 mod tensors;
 
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -53,7 +54,9 @@ pub(crate) fn run() -> ExitCode {
         Ok(cli) => cli.command,
         Err(e) if e.use_stderr() => {
             // It repeats the arguments, which the shell may have made of file names.
-            e.to_string().lines().for_each(|l| eprintln!("{}", printable::printable(l)));
+            let text = e.to_string();
+            let lines: Vec<_> = text.lines().map(printable::printable).collect();
+            let _ = writeln!(std::io::stderr(), "{}", lines.join("\n"));
             return ExitCode::from(exit::Exit::Usage as u8);
         }
         Err(help) => help.exit(),

@@ -23,6 +23,11 @@ fn weights() {
 }
 
 #[test]
+fn annotations() {
+    over("annotations", targets::annotations::run);
+}
+
+#[test]
 fn ops() {
     over("ops", targets::ops::run);
 }

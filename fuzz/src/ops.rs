@@ -70,7 +70,8 @@ fn small_cases(entry: &Entry) -> &'static [Case] {
 /// The operation from parameters of any kind.
 fn build(entry: &Entry, case: &Case, bytes: &mut Bytes) -> Option<Box<dyn Op>> {
     let mut values = Vec::new();
-    for param in entry.params {
+    // The others follow from the tensors that came.
+    for param in entry.params.iter().filter(|p| !p.by_tensors) {
         let text = match bytes.below(4) {
             0 if !param.required => continue,
             0 | 1 => param.value.to_owned(),

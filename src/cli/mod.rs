@@ -65,7 +65,9 @@ fn parse_and_run() -> Result<Exit, Failure> {
         Ok(cli) => cli,
         Err(e) if e.use_stderr() => {
             // It repeats the arguments, which the shell may have made of file names.
-            e.to_string().lines().for_each(|l| eprintln!("{}", printable::printable(l)));
+            let text = e.to_string();
+            let lines: Vec<_> = text.lines().map(printable::printable).collect();
+            let _ = writeln!(std::io::stderr(), "{}", lines.join("\n"));
             return Ok(Exit::Usage);
         }
         // Help or version.

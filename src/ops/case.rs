@@ -7,7 +7,7 @@ use std::sync::Arc;
 use rand::{RngExt, SeedableRng};
 
 use crate::error::{Error, Result};
-use crate::gpu::{Gpu, Plan, PlanOptions, Recording, Role};
+use crate::gpu::{Gpu, Plan, PlanOptions, Poison, Recording, Role, TensorId};
 use crate::ops::op::{Op, Tolerance};
 use crate::shape::Shape;
 use crate::tensor::{Tensor, Value};
@@ -56,32 +56,118 @@ pub struct Report {
 /// What the operation or the device returns. Wrong values are no error, but failures in the
 /// report.
 pub fn check(gpu: &Arc<Gpu>, case: &Case) -> Result<Report> {
-    let inputs: Vec<&Value> = case.inputs.iter().collect();
-    let reference = case.op.reference(&inputs)?;
-    let shader = run_op(gpu, case.op.as_ref(), &case.inputs, true)?;
-    let bounds = case.op.tolerance(&inputs, &reference)?;
-    let defined = case.op.defined(&reference.iter().collect::<Vec<_>>(), &inputs);
-    let mut report = Report { max_error: 0.0, max_share: 0.0, failures: Vec::new() };
-    for (i, name) in case.op.outputs().into_iter().enumerate() {
-        let n = defined[i];
-        let what = format!("{} / {} / {name}", case.op.name(), case.name);
-        compare(&what, "shader", &shader[i], &reference[i], &bounds[i], n, &mut report);
-        if let Some(hand) = &case.by_hand {
-            let mut by_hand = Report { failures: Vec::new(), ..report };
-            compare(&what, "reference", &reference[i], &hand[i], &bounds[i], n, &mut by_hand);
-            compare(&what, "shader by hand", &shader[i], &hand[i], &bounds[i], n, &mut by_hand);
-            report.failures.append(&mut by_hand.failures);
-        }
-        check_untouched(&what, &shader[i], n, &mut report);
+    Expected::of(case)?.check(gpu)
+}
+
+/// A case with what must come of it, to check several devices or shaders.
+#[derive(Debug)]
+pub struct Expected<'a> {
+    case: &'a Case,
+    reference: Vec<Value>,
+    bounds: Vec<Tolerance>,
+    defined: Vec<usize>,
+}
+
+impl<'a> Expected<'a> {
+    /// Runs the case's reference.
+    ///
+    /// # Errors
+    /// What the operation returns.
+    pub fn of(case: &'a Case) -> Result<Self> {
+        let inputs: Vec<&Value> = case.inputs.iter().collect();
+        let reference = case.op.reference(&inputs)?;
+        let bounds = case.op.tolerance(&inputs, &reference)?;
+        let defined = case.op.defined(&reference.iter().collect::<Vec<_>>(), &inputs);
+        Ok(Self { case, reference, bounds, defined })
     }
-    Ok(report)
+
+    /// The outputs of the reference.
+    pub fn reference(&self) -> &[Value] {
+        &self.reference
+    }
+
+    /// As [`check`].
+    ///
+    /// # Errors
+    /// As [`check`].
+    pub fn check(&self, gpu: &Arc<Gpu>) -> Result<Report> {
+        self.check_inputs(gpu, &self.case.inputs)
+    }
+
+    /// Runs the shader on other `inputs` and holds it to what the case's own would give.
+    ///
+    /// # Errors
+    /// As [`check`].
+    pub fn check_inputs(&self, gpu: &Arc<Gpu>, inputs: &[Value]) -> Result<Report> {
+        let case = self.case;
+        let runs = run_guarded(gpu, case.op.as_ref(), inputs)?;
+        let mut report = Report { max_error: 0.0, max_share: 0.0, failures: Vec::new() };
+        for (i, name) in case.op.outputs().into_iter().enumerate() {
+            let (n, bound, want) = (self.defined[i], &self.bounds[i], &self.reference[i]);
+            let what = format!("{} / {} / {name}", case.op.name(), case.name);
+            let shader = &runs[0].values[i];
+            compare(&what, "shader", shader, want, bound, n, &mut report);
+            if let Some(hand) = &case.by_hand {
+                let mut by_hand = Report { failures: Vec::new(), ..report };
+                compare(&what, "reference", want, &hand[i], bound, n, &mut by_hand);
+                compare(&what, "shader by hand", shader, &hand[i], bound, n, &mut by_hand);
+                report.failures.append(&mut by_hand.failures);
+            }
+            runs.iter().for_each(|run| run.check_untouched(&what, i, n, &mut report));
+            let [a, b] = [0, 1].map(|run| &runs[run].values[i].bytes()[..4 * n]);
+            if a != b {
+                let line = format!("{what}: depends on what its buffers held before");
+                report.failures.push(line);
+            }
+        }
+        Ok(report)
+    }
 }
 
 /// Runs one operation on the device: every input is known when recording.
 ///
 /// # Errors
 /// What the operation or the device returns.
-pub fn run_op(gpu: &Arc<Gpu>, op: &dyn Op, inputs: &[Value], guard: bool) -> Result<Vec<Value>> {
+pub fn run_op(gpu: &Arc<Gpu>, op: &dyn Op, inputs: &[Value]) -> Result<Vec<Value>> {
+    let (mut plan, outputs) = plan_op(gpu, op, inputs, false)?;
+    run_plan(&mut plan, op, &outputs)
+}
+
+/// The outputs of a run whose buffers held `poison`.
+struct GuardedRun {
+    poison: Poison,
+    ids: Vec<TensorId>,
+    values: Vec<Value>,
+}
+
+impl GuardedRun {
+    /// What lies behind the defined elements must still be the poison: nobody wrote it.
+    fn check_untouched(&self, what: &str, output: usize, defined: usize, report: &mut Report) {
+        let words: Vec<u32> = bytemuck::pod_collect_to_vec(self.values[output].bytes());
+        let poison = |at: usize| self.poison.word(self.ids[output], at);
+        if let Some(at) = (defined..words.len()).find(|at| words[*at] != poison(*at)) {
+            let line = format!("{what}: wrote element {at} behind the count {defined}");
+            report.failures.push(line);
+        }
+    }
+}
+
+/// Runs an operation once for each kind of poison: what one hides the other shows.
+fn run_guarded(gpu: &Arc<Gpu>, op: &dyn Op, inputs: &[Value]) -> Result<[GuardedRun; 2]> {
+    let (mut plan, ids) = plan_op(gpu, op, inputs, true)?;
+    let mut run = |poison| -> Result<GuardedRun> {
+        plan.poison_with(poison);
+        Ok(GuardedRun { poison, values: run_plan(&mut plan, op, &ids)?, ids: ids.clone() })
+    };
+    Ok([run(Poison::Nan)?, run(Poison::Finite)?])
+}
+
+fn plan_op(
+    gpu: &Arc<Gpu>,
+    op: &dyn Op,
+    inputs: &[Value],
+    guard: bool,
+) -> Result<(Plan, Vec<TensorId>)> {
     let specs: Vec<_> = inputs.iter().map(Value::spec).collect();
     let out_specs = op.infer(&specs)?;
     op.check_values(&inputs.iter().collect::<Vec<_>>())?;
@@ -97,9 +183,13 @@ pub fn run_op(gpu: &Arc<Gpu>, op: &dyn Op, inputs: &[Value], guard: bool) -> Res
         .collect();
     op.record(&mut recording, &ids, &outs)?;
     let options = PlanOptions { reuse: true, guard, profile: false };
-    let mut plan = pollster::block_on(Plan::new(gpu, &recording, options))?;
+    Ok((pollster::block_on(Plan::new(gpu, &recording, options))?, outs))
+}
+
+fn run_plan(plan: &mut Plan, op: &dyn Op, outputs: &[TensorId]) -> Result<Vec<Value>> {
     let mut run = plan.run(&[])?;
-    outs.iter()
+    outputs
+        .iter()
         .zip(op.outputs())
         .map(|(id, name)| {
             run.values
@@ -167,17 +257,6 @@ fn compare(
         report.failures.push(line);
     }
 }
-
-/// What lies behind the defined elements must still be the poison: nobody wrote it.
-fn check_untouched(what: &str, got: &Value, defined: usize, report: &mut Report) {
-    let words: Vec<u32> = bytemuck::pod_collect_to_vec(got.bytes());
-    if let Some(word) = words[defined..].iter().position(|w| *w != POISON) {
-        let line = format!("{what}: wrote element {} behind the count {defined}", defined + word);
-        report.failures.push(line);
-    }
-}
-
-use crate::gpu::POISON;
 
 /// Uniform values in [-1, 1), the same for the same seed on every machine.
 pub fn random(seed: u64, shape: impl Into<Shape>) -> Tensor {

@@ -364,14 +364,9 @@ impl Plan {
         let gpu = self.gpu.clone();
         let submission = pollster::block_on(gpu.scoped("running the network", || {
             for Poisoned { id, slot, words } in &self.poisoned {
-                let poison: Vec<u32> =
-                    words.clone().map(|at| self.poison.word(*id, at)).collect();
+                let poison: Vec<u32> = words.clone().map(|at| self.poison.word(*id, at)).collect();
                 let offset = words.start as u64 * 4;
-                gpu.queue.write_buffer(
-                    &self.buffers[*slot],
-                    offset,
-                    bytemuck::cast_slice(&poison),
-                );
+                gpu.queue.write_buffer(&self.buffers[*slot], offset, bytemuck::cast_slice(&poison));
             }
             for (id, value) in inputs {
                 if let Some(slot) = self.slot[id.0] {

@@ -262,7 +262,8 @@ mod tests {
     #[test]
     fn a_line_of_the_expanded_text_is_a_line_of_one_file() {
         let source = "// include: relu\n// include: index\n";
-        let text = Expanded::new(&Shader { stem: "own", source, params: NONE }, None).expect("includes");
+        let text =
+            Expanded::new(&Shader { stem: "own", source, params: NONE }, None).expect("includes");
         for (number, content) in text.text.lines().enumerate() {
             let at = naga::SourceLocation {
                 line_number: number as u32 + 1,

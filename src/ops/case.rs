@@ -23,17 +23,41 @@ pub struct Case {
     pub inputs: Vec<Value>,
     /// The outputs, computed by hand from the definition; `None` to trust the reference.
     pub by_hand: Option<Vec<Value>>,
+    /// Whether every step of it is exact in f32, so that all outputs must be equal to the bit.
+    pub exact: bool,
+    /// Whether it has a size of the network, and inputs that f16 cannot hold: rounding any of them
+    /// to f16 must fail.
+    pub network: bool,
 }
 
 impl Case {
     /// A case that is compared with the CPU reference.
     pub fn new(name: impl Into<String>, op: impl Op + 'static, inputs: Vec<Value>) -> Self {
-        Self { name: name.into(), op: Box::new(op), inputs, by_hand: None }
+        Self {
+            name: name.into(),
+            op: Box::new(op),
+            inputs,
+            by_hand: None,
+            exact: false,
+            network: false,
+        }
     }
 
     /// The same with outputs computed by hand, to which the reference is held too.
     pub fn by_hand(mut self, outputs: Vec<Value>) -> Self {
         self.by_hand = Some(outputs);
+        self
+    }
+
+    /// The same without a bound: nothing in it rounds.
+    pub fn exact(mut self) -> Self {
+        self.exact = true;
+        self
+    }
+
+    /// The same as a case of the network's size whose inputs f16 cannot hold.
+    pub fn in_network(mut self) -> Self {
+        self.network = true;
         self
     }
 }
@@ -76,7 +100,10 @@ impl<'a> Expected<'a> {
     pub fn of(case: &'a Case) -> Result<Self> {
         let inputs: Vec<&Value> = case.inputs.iter().collect();
         let reference = case.op.reference(&inputs)?;
-        let bounds = case.op.tolerance(&inputs, &reference)?;
+        let bounds = match case.exact {
+            true => vec![Tolerance::Exact; reference.len()],
+            false => case.op.tolerance(&inputs, &reference)?,
+        };
         let defined = case.op.defined(&reference.iter().collect::<Vec<_>>(), &inputs);
         Ok(Self { case, reference, bounds, defined })
     }
@@ -224,11 +251,14 @@ fn compare(
                     Tolerance::Uniform(b) => *b,
                     Tolerance::Each(b) => b[i],
                 };
+                // A NaN among the inputs leaves no bound either, but must stay one.
+                let both_nan = g.is_nan() && w.is_nan();
+                let limit = if both_nan { 0.0 } else { limit };
                 let error = match g.to_bits() == w.to_bits() {
                     true => 0.0,
                     // −0 is not 0 where bits count.
                     false if *bound == Tolerance::Exact => f64::INFINITY,
-                    false if g == w => 0.0,
+                    false if g == w || both_nan => 0.0,
                     false => (f64::from(g) - f64::from(w)).abs(),
                 };
                 (error, limit, format!("{g} instead of {w} ± {limit:.3e}"))
@@ -262,6 +292,29 @@ fn compare(
 pub fn random(seed: u64, shape: impl Into<Shape>) -> Tensor {
     let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
     Tensor::from_fn(shape, |_| rng.random_range(-1.0..1.0))
+}
+
+/// Channels and edge of each map that passes through a CBAM of the network.
+pub const GATED_MAPS: [(usize, usize); 7] =
+    [(64, 160), (64, 80), (128, 40), (256, 20), (512, 10), (256, 40), (256, 10)];
+
+/// Positive values that f16 rounds all one way: a power of two from 1/8 to 1, times 1 + 2⁻¹² give or
+/// take half of the 2⁻¹², of which f16 leaves 1.
+pub fn one_way(seed: u64, shape: impl Into<Shape>) -> Tensor {
+    let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
+    Tensor::from_fn(shape, |_| {
+        let part: f32 = rng.random_range(0.5..1.5);
+        let power = 1u32 << rng.random_range(0..4);
+        (1.0 + part / 4096.0) / power as f32
+    })
+}
+
+/// [`one_way`] values times a power of two, at least as large as a sum of `terms` products of them.
+pub fn one_way_sum(seed: u64, shape: impl Into<Shape>, terms: usize) -> Value {
+    let mut tensor = one_way(seed, shape);
+    let scale = terms.next_power_of_two() as f32;
+    tensor.data_mut().iter_mut().for_each(|x| *x *= scale);
+    tensor.into()
 }
 
 /// Values written out in a case, row-major.

@@ -3,7 +3,7 @@
 use crate::cpu;
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
-use crate::ops::case::{Case, random, random_scaled, values};
+use crate::ops::case::{Case, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect_inputs, map_dims};
 use crate::ops::params::{Param, Params as Named};
 use crate::shape::TensorSpec;
@@ -174,5 +174,7 @@ fn cases() -> Vec<Case> {
     }
     cases.push(Case::new("1e30", op(3, 2, 1), vec![random_scaled(90, [3, 9, 9], 1e30)]));
     cases.push(Case::new("1e-30", op(3, 2, 1), vec![random_scaled(91, [3, 9, 9], 1e-30)]));
+    let input = one_way(1000, [64, 160, 160]).into();
+    cases.push(Case::new("after conv1", op(3, 2, 1), vec![input]).in_network());
     cases
 }

@@ -108,9 +108,9 @@ impl<'a> Expected<'a> {
         Ok(Self { case, reference, bounds, defined })
     }
 
-    /// The outputs of the reference.
-    pub fn reference(&self) -> &[Value] {
-        &self.reference
+    /// The case itself.
+    pub fn case(&self) -> &'a Case {
+        self.case
     }
 
     /// As [`check`].

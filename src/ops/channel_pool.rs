@@ -112,6 +112,7 @@ fn cases() -> Vec<Case> {
         ("prime sizes", [17, 31, 37]),
         ("deep and small, as conv5_x", [512, 10, 10]),
         ("wide, as conv1", [5, 160, 160]),
+        ("65 537 channels: a grid folded to two dimensions", [65_537, 1, 1]),
     ];
     for (i, (name, dims)) in shapes.into_iter().enumerate() {
         cases.push(Case::new(name, ChannelPool, vec![random(i as u64, dims).into()]));

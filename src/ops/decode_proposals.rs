@@ -283,6 +283,23 @@ fn cases() -> Vec<Case> {
             values([2], &[0.5, 0.5]),
         ]),
     );
+    // An index past the end names the last anchor, here the second at (160, 160) + (8, 0).
+    let past = DecodeProposals {
+        anchors: vec![[-1.0, -1.0, 1.0, 1.0], [159.0, 159.0, 161.0, 161.0]],
+        stride: 8,
+        width: 320,
+        height: 320,
+    };
+    let inputs = vec![
+        Tensor::zeros([8, 1, 2]).into(),
+        values([2], &[0.0, 0.0]),
+        integers([2], &[4, 2]),
+        count(9),
+    ];
+    cases.push(Case::new("an index past the end by hand", past, inputs).by_hand(vec![
+        values([2, 4], &[167.0, 159.0, 169.0, 161.0, 7.0, 0.0, 9.0, 1.0]),
+        values([2], &[0.5, 0.5]),
+    ]));
     let sides = [16.0, 24.0, 32.0, 48.0].map(|s: f32| [s, s / 2.0]).concat();
     let anchors = (0..12).map(|i| {
         let [w, h] = [sides[i % 8], sides[(i + 3) % 8]];

@@ -149,6 +149,7 @@ fn cases() -> Vec<Case> {
         ("65 pixels: a workgroup and one", [3, 5, 13]),
         ("prime sizes", [61, 31, 37]),
         ("as in the re-weighting", [64, 40, 40]),
+        ("65 537 channels: a grid folded to two dimensions", [65_537, 1, 1]),
     ];
     for (i, (name, dims)) in shapes.into_iter().enumerate() {
         cases.push(Case::new(name, ONE, vec![random(i as u64, dims).into()]));

@@ -151,6 +151,16 @@ fn cases() -> Vec<Case> {
             vec![values([1, 3, 3], &[-1.0, -2.0, -3.0, -4.0, -9.0, -6.0, -7.0, -8.0, -5.0])],
         )
         .by_hand(vec![values([1, 2, 2], &[-1.0, -2.0, -4.0, -5.0])]),
+        // An infinity is no NaN: −∞ loses, ∞ wins.
+        Case::new(
+            "infinities by hand",
+            op(2, 2, 0),
+            vec![values(
+                [1, 2, 4],
+                &[1.0, -f32::INFINITY, f32::INFINITY, 2.0, -2.0, -f32::INFINITY, 3.0, f32::MAX],
+            )],
+        )
+        .by_hand(vec![values([1, 1, 2], &[1.0, f32::INFINITY])]),
         // As PyTorch's: an overflow must reach the outputs, where the host looks for it.
         Case::new(
             "a NaN stays, wherever it is in its window",

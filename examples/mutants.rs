@@ -187,7 +187,11 @@ fn verdict(gpu: &Arc<Gpu>, expected: &Expected) -> Result<Option<(String, bool)>
             std::process::abort()
         }
         // A write behind a tensor's end, or one that the driver refused.
-        Err(error) => Ok(Some((format!("{name} ({error})"), expected.case().by_hand.is_some()))),
+        Err(error) => {
+            let error = error.to_string();
+            let error = error.lines().next().unwrap_or_default();
+            Ok(Some((format!("{name} ({error})"), expected.case().by_hand.is_some())))
+        }
     }
 }
 

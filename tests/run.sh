@@ -70,4 +70,8 @@ step adapter have_adapter
 step clippy cargo clippy --locked --release --all-targets -- -D warnings
 RUSTDOCFLAGS="-D warnings" step docs cargo doc --locked --release --no-deps
 step tests cargo test --locked --release
+# The same code with overflow checks and debug assertions; what it depends on is built already.
+step overflow cargo test --locked --release --lib --test cli \
+    --config profile.release.package.smr-gpu.overflow-checks=true \
+    --config profile.release.package.smr-gpu.debug-assertions=true
 step shaders "$smr_gpu" check

@@ -353,3 +353,44 @@ pub fn random_boxes(seed: u64, n: usize, extent: f32, side: f32) -> Tensor {
     }
     boxes
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ops::OPS;
+
+    /// Without a device: each reference runs on each case and meets the outputs by hand.
+    #[test]
+    fn references_meet_the_outputs_by_hand() {
+        let mut report = Report { max_error: 0.0, max_share: 0.0, failures: Vec::new() };
+        let mut compared = 0;
+        for case in OPS.iter().flat_map(|entry| (entry.cases)()) {
+            let expected = Expected::of(&case).expect("a reference");
+            let Some(hand) = &case.by_hand else { continue };
+            for (i, name) in case.op.outputs().into_iter().enumerate() {
+                let what = format!("{} / {} / {name}", case.op.name(), case.name);
+                let (got, bound) = (&expected.reference[i], &expected.bounds[i]);
+                compare(&what, "reference", got, &hand[i], bound, expected.defined[i], &mut report);
+                compared += 1;
+            }
+        }
+        assert!(report.failures.is_empty(), "{}", report.failures.join("\n"));
+        assert!(compared > 100, "only {compared}");
+    }
+
+    #[test]
+    fn a_nan_is_only_equal_to_a_nan() {
+        let (nan, two) = (values([2], &[f32::NAN, 1.0]), values([2], &[2.0, 1.0]));
+        let failures = |got: &Value, want: &Value, bound: Tolerance| {
+            let mut report = Report { max_error: 0.0, max_share: 0.0, failures: Vec::new() };
+            compare("case", "shader", got, want, &bound, 2, &mut report);
+            report.failures.len()
+        };
+        // A bound from inputs with a NaN is none.
+        let none = || Tolerance::Each(vec![f64::NAN, 1e-6]);
+        assert_eq!(failures(&nan, &nan, none()), 0);
+        assert_eq!(failures(&two, &nan, none()), 1);
+        assert_eq!(failures(&nan, &two, none()), 1);
+        assert_eq!(failures(&two, &nan, Tolerance::Uniform(f64::INFINITY)), 1);
+    }
+}

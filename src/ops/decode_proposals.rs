@@ -291,7 +291,7 @@ fn cases() -> Vec<Case> {
         height: 320,
     };
     let inputs = vec![
-        Tensor::zeros([8, 1, 2]).into(),
+        Tensor::<f32>::zeros([8, 1, 2]).into(),
         values([2], &[0.0, 0.0]),
         integers([2], &[4, 2]),
         count(9),

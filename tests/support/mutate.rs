@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use rand::{RngExt, SeedableRng};
-use smr_gpu::gpu::{Reflection, Replacement, reflect, reflect_replaced};
+use smr_gpu::gpu::{Replacement, reflect, reflect_replaced};
 use smr_gpu::ops::{Entry, OPS};
 
 /// A shader file with one fault.
@@ -25,16 +25,16 @@ impl Mutant {
         Replacement { file: self.file.clone(), text: self.text.clone() }
     }
 
-    /// Whether naga takes it in every shader that has the file, with the same bindings: without one
-    /// of them no plan would be made.
+    /// Whether naga takes it in every shader that has the file, with the same bindings and no larger
+    /// workgroups: no plan would be made of others.
     pub fn is_valid(&self) -> bool {
         let replacement = self.replacement();
-        let bindings =
-            |r: Reflection| r.entries.into_iter().map(|e| e.bindings).collect::<Vec<_>>();
         users(&self.file).iter().all(|op| {
-            let own = reflect(op.shader).map(bindings);
-            let mutated = reflect_replaced(op.shader, &replacement).map(bindings);
-            own.ok() == mutated.ok()
+            let own = reflect(op.shader).expect("a shader").entries;
+            let Ok(mutated) = reflect_replaced(op.shader, &replacement) else { return false };
+            own.iter().zip(&mutated.entries).all(|(a, b)| {
+                a.bindings == b.bindings && b.workgroup_size.iter().product::<u32>() <= 256
+            })
         })
     }
 }

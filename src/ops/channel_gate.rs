@@ -217,6 +217,10 @@ fn cases() -> Vec<Case> {
     for (i, (name, channels, hidden, scale)) in shapes.into_iter().enumerate() {
         cases.push(Case::new(name, ChannelGate, mlp(i as u64 * 10, channels, hidden, scale)));
     }
+    // Where the gate is steep, so that a single unit shows.
+    let mut steep = mlp(500, 3, 1024, 0.1);
+    steep[3] = random_scaled(503, [3, 1024], 0.03);
+    cases.push(Case::new("1024 hidden units, steep", ChannelGate, steep));
     for (i, channels) in [64, 128, 256, 512].into_iter().enumerate() {
         let seed = 1000 + i as u64 * 10;
         let hidden = channels / 16;

@@ -171,6 +171,11 @@ fn cases() -> Vec<Case> {
             vec![random(3, [97, 13]).into(), random_integers(4, [5], 97), count(5)],
         ),
         Case::new(
+            "whole workgroups to the last",
+            op,
+            vec![random(9, [97, 64]).into(), random_integers(10, [70], 97), count(70)],
+        ),
+        Case::new(
             "wide rows",
             op,
             vec![random(5, [31, 12_547]).into(), random_integers(6, [23], 31), count(19)],

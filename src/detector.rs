@@ -242,6 +242,20 @@ impl GpuDetector {
     /// # Errors
     /// As [`GpuDetector::new`].
     pub async fn new_async(config: Config) -> Result<Self> {
+        Self::build(config, None).await
+    }
+
+    /// [`GpuDetector::new_async`] on a device that is open already; `device`, `timeout` and
+    /// `checked` of the configuration do not count.
+    ///
+    /// # Errors
+    /// As [`GpuDetector::new`].
+    pub async fn on_device(gpu: Arc<Gpu>, mut config: Config) -> Result<Self> {
+        config.device = Device::default();
+        Self::build(config, Some(gpu)).await
+    }
+
+    async fn build(config: Config, gpu: Option<Arc<Gpu>>) -> Result<Self> {
         let weights = match &config.weights {
             WeightSource::File(path) => Weights::open(path)?,
             WeightSource::Bytes(name, bytes) => Weights::from_bytes(name, bytes)?,
@@ -261,7 +275,10 @@ impl GpuDetector {
                     timeout: config.timeout,
                     checked: config.checked,
                 };
-                let gpu = Gpu::open(options).await?;
+                let gpu = match gpu {
+                    Some(gpu) => gpu,
+                    None => Gpu::open(options).await?,
+                };
                 let adapter = format!("{} ({})", gpu.info().name, gpu.info().backend);
                 let plan = Box::new(plan(&gpu, &network, &config).await?);
                 (Runner::Gpu { gpu, plan }, adapter)

@@ -248,6 +248,12 @@ impl Graph {
         }
     }
 
+    /// Each operation with the specs of what it reads, in order.
+    pub fn operations(&self) -> impl Iterator<Item = (&dyn Op, Vec<&TensorSpec>)> {
+        let specs = |n: &Node| n.inputs.iter().map(|id| self.spec(*id)).collect();
+        self.nodes.iter().map(move |n| (n.op.as_ref(), specs(n)))
+    }
+
     /// The names of the stages, in order.
     pub fn stages(&self) -> &[String] {
         &self.stages

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use image::DynamicImage;
 use smr_gpu::comparison::{STAGE_BOUND, relative_l2};
-use smr_gpu::gpu::{Plan, PlanOptions};
+use smr_gpu::gpu::{Gpu, GpuOptions, Plan, PlanOptions};
 use smr_gpu::model::{ModelConfig, Network, Thresholds, Variant, Weights};
 use smr_gpu::ops::Crop;
 use smr_gpu::tensor::{Tensor, Value};
@@ -164,6 +164,33 @@ fn small_config(variant: Variant) -> ModelConfig {
         stride: if variant.msff { 8 } else { 16 },
         reduction: 16,
         variant,
+    }
+}
+
+/// Bounds checks change no bit of a whole detection, either.
+#[test]
+fn bounds_checks_change_no_bit() {
+    let full = Variant { safe: true, msff: true, rw: true };
+    let weights = Weights::random(small_config(full), 7);
+    let thresholds = Thresholds { score: 0.0, iou: 0.5, max_detections: 100, class_mask: u32::MAX };
+    let network = Network::new(weights, 80 * 70, thresholds).expect("a network");
+    let pixel = |i| (i as u32).wrapping_mul(2_654_435_761);
+    let picture = Value::from(Tensor::from_fn([80 * 70], pixel));
+    let crop = Tensor::new([5], vec![80, 70, 5, 0, 70]).expect("five values").into();
+    let inputs = [(network.picture, &picture), (network.crop, &crop)];
+    let recording = network.graph.record(&network.graph.computed()).expect("a recording");
+    let run = |checked| {
+        let options = GpuOptions { checked, ..GpuOptions::default() };
+        let gpu = pollster::block_on(Gpu::open(options)).expect("an adapter");
+        let plan = pollster::block_on(Plan::new(&gpu, &recording, PlanOptions::default()));
+        let mut values = plan.expect("a plan").run(&inputs).expect("a run").values;
+        network.graph.truncate(&inputs, &mut values);
+        values
+    };
+    let (with, without) = (run(true), run(false));
+    assert!(without.len() >= 100, "only {} tensors", without.len());
+    for (id, value) in &without {
+        assert!(value.bytes() == with[id].bytes(), "{} differs", network.graph.name(*id));
     }
 }
 

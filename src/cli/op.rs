@@ -121,7 +121,7 @@ fn compute(op: &dyn Op, inputs: &[Value], device: &Device) -> Result<Vec<Value>,
         return Err(Error::Capacity { what, needed, available: MAX_OUTPUT_BYTES }.into());
     }
     Ok(match open_gpu(device)? {
-        Some(gpu) => case::run_op(&gpu, op, inputs, false)?,
+        Some(gpu) => case::run_op(&gpu, op, inputs)?,
         None => op.reference(&inputs.iter().collect::<Vec<_>>())?,
     })
 }

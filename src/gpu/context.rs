@@ -86,6 +86,8 @@ pub struct Gpu {
     lost: Arc<Mutex<Option<String>>>,
     /// An error that no scope caught; without a handler it would end the process.
     uncaptured: Arc<Mutex<Option<String>>>,
+    /// Another text for one shader file; such a device compiles with bounds checks.
+    replacement: Option<shader::Replacement>,
     modules: Mutex<HashMap<&'static str, Arc<Module>>>,
     pipelines: Mutex<HashMap<PipelineKey, Arc<Pipeline>>>,
 }
@@ -215,9 +217,27 @@ impl Gpu {
             options,
             lost,
             uncaptured,
+            replacement: None,
             modules: Mutex::default(),
             pipelines: Mutex::default(),
         }))
+    }
+
+    /// The same device with another text for one shader file: for tests that ask what a fault in a
+    /// shader would change, and for trying out a shader. Nothing vouches for that text, so this
+    /// device compiles every shader with bounds checks, whatever its options say.
+    pub fn with_replacement(&self, replacement: shader::Replacement) -> Arc<Self> {
+        Arc::new(Self {
+            device: self.device.clone(),
+            queue: self.queue.clone(),
+            info: self.info.clone(),
+            options: GpuOptions { checked: true, ..self.options.clone() },
+            lost: self.lost.clone(),
+            uncaptured: self.uncaptured.clone(),
+            replacement: Some(replacement),
+            modules: Mutex::default(),
+            pipelines: Mutex::default(),
+        })
     }
 
     /// The adapter's name, backend and driver.
@@ -279,7 +299,7 @@ impl Gpu {
         if let Some(module) = modules.get(shader.stem) {
             return Ok(module.clone());
         }
-        let reflection = shader::reflect(shader)?;
+        let reflection = shader::reflect_with(shader, self.replacement.as_ref())?;
         let desc = wgpu::ShaderModuleDescriptor {
             label: Some(shader.stem),
             source: wgpu::ShaderSource::Wgsl(reflection.text.as_str().into()),

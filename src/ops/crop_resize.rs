@@ -309,5 +309,8 @@ fn cases() -> Vec<Case> {
         let op = CropResize { size, mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225] };
         cases.push(Case::new(name, op, vec![pattern(capacity), crop(numbers)]));
     }
+    let op = CropResize { size: 320, mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225] };
+    let inputs = vec![pattern(1_000_000), crop([1000, 1000, 0, 0, 1000])];
+    cases.push(Case::new("the sensor's picture", op, inputs).in_network());
     cases
 }

@@ -3,8 +3,8 @@
 use crate::cpu;
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
-use crate::ops::bounds::{magnitude, sum_error};
-use crate::ops::case::{Case, integers, random, values};
+use crate::ops::bounds::{Joined, SumOrder, magnitude};
+use crate::ops::case::{Case, integers, one_way, one_way_sum, random, values};
 use crate::ops::count::{count_tensor, expect_count, live, row_grid};
 use crate::ops::indirect_grid::IndirectGrid;
 use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
@@ -106,8 +106,7 @@ impl Op for Linear {
         let rows = recording.dims(inputs[0])[0];
         let quads = outs.div_ceil(4);
         let inner_quads = inner.div_ceil(4);
-        let slice_quads = inner_quads.div_ceil(MAX_SLICES).max(MIN_SLICE);
-        let slices = inner_quads.div_ceil(slice_quads);
+        let (slices, slice_quads) = slices(inner);
         let columns = quads.div_ceil(LANES);
 
         let packed = recording.constant(format!("{name} (packed)"), pack_weight(weight.f32()?));
@@ -171,14 +170,15 @@ impl Op for Linear {
         Ok(vec![Tensor::new(specs[0].shape.clone(), output)?.into()])
     }
 
-    /// K products, the bias, and the reference's own rounding.
+    /// The shader sums the products of each slice, then the slices and the bias.
     fn tolerance(&self, inputs: &[&Value], reference: &[Value]) -> Result<Vec<Tolerance>> {
         let (input, weight) = (magnitude(inputs[0])?, magnitude(inputs[1])?);
         let rows = live(inputs.get(3).copied(), input.dims()[0])?;
         let sums = cpu::linear(&input, &weight, &magnitude(inputs[2])?, rows, false);
-        let roundings = weight.dims()[1] + 2;
-        let mut each: Vec<f64> =
-            sums.data().iter().map(|s| sum_error(roundings, f64::from(*s))).collect();
+        let (slices, slice_quads) = slices(weight.dims()[1]);
+        let order =
+            SumOrder { terms: 4 * slice_quads, parts: slices, joined: Joined::InOrder, more: 1 };
+        let mut each: Vec<f64> = sums.data().iter().map(|s| order.error(f64::from(*s))).collect();
         each.resize(reference[0].spec().shape.elements(), 0.0);
         Ok(vec![Tolerance::Each(each)])
     }
@@ -188,6 +188,13 @@ impl Op for Linear {
         let rows = live(inputs.get(3).copied(), shape.0[0]).unwrap_or(0);
         vec![rows * shape.0[1]]
     }
+}
+
+/// Into how many slices a row of `inner` inputs is cut, and how many vec4 each has at most.
+fn slices(inner: usize) -> (usize, usize) {
+    let quads = inner.div_ceil(4);
+    let each = quads.div_ceil(MAX_SLICES).max(MIN_SLICE);
+    (quads.div_ceil(each), each)
 }
 
 /// `[O, K]` to `[K, O]`, with zeros up to whole numbers of four.
@@ -227,6 +234,17 @@ fn cases() -> Vec<Case> {
             inputs
         })
         .by_hand(vec![values([2, 2], &[6.5, 0.0, 0.0, 0.0])]),
+        // PyTorch's ReLU keeps it: an overflow must reach the outputs.
+        Case::new(
+            "a NaN goes through the ReLU",
+            Linear { relu: true, count: false },
+            vec![
+                values([3, 1], &[-1.0, f32::NAN, 0.5]),
+                values([1, 1], &[1.0]),
+                values([1], &[0.0]),
+            ],
+        )
+        .by_hand(vec![values([3, 1], &[0.0, f32::NAN, 0.5])]),
     ];
     // (name, input, outputs, count, relu)
     let sets = [
@@ -234,6 +252,8 @@ fn cases() -> Vec<Case> {
         ("primes", vec![7, 61], 37, None, true),
         ("a tile less one, a slice less one", vec![7, 63], 255, Some(7), false),
         ("a tile and one, a slice and one", vec![9, 65], 257, Some(9), false),
+        ("a whole tile", vec![8, 12], 5, None, false),
+        ("two whole tiles, counted", vec![20, 12], 5, Some(16), false),
         ("a row of feature maps", vec![11, 16, 7, 7], 20, Some(10), true),
         ("fc6, narrow", vec![17, 256, 7, 7], 68, Some(17), true),
         ("fc7", vec![100, 512], 512, Some(13), true),
@@ -259,5 +279,23 @@ fn cases() -> Vec<Case> {
     }
     let inputs = vec![wide.into(), random(98, [9, 250]).into(), random(97, [9]).into()];
     cases.push(Case::new("twelve orders of magnitude", plain, inputs));
+    let layers = [
+        (vec![100, 256, 7, 7], 512, true),
+        (vec![100, 512], 512, true),
+        (vec![100, 512], 3, false),
+        (vec![100, 512], 12, false),
+    ];
+    for (i, (shape, outputs, relu)) in layers.into_iter().enumerate() {
+        let seed = 1000 + i as u64 * 10;
+        let inner = shape[1..].iter().product();
+        let inputs = vec![
+            one_way(seed, crate::shape::Shape(shape)).into(),
+            one_way(seed + 1, [outputs, inner]).into(),
+            one_way_sum(seed + 2, [outputs], inner),
+            integers([1], &[100]),
+        ];
+        let name = format!("{inner} to {outputs}, as the RoI head");
+        cases.push(Case::new(name, Linear { relu, count: true }, inputs).in_network());
+    }
     cases
 }

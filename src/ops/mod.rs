@@ -34,7 +34,7 @@ mod weighted_sum;
 
 pub use crate::cpu::Crop;
 pub use apply_gates::ApplyGates;
-pub use case::{Case, Report, check};
+pub use case::{Case, Expected, Report, check};
 pub use channel_gate::ChannelGate;
 pub use channel_pool::ChannelPool;
 pub use conv2d::Conv2d;

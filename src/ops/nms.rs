@@ -366,5 +366,18 @@ fn cases() -> Vec<Case> {
         let name = format!("whole pixels at {iou_threshold}");
         cases.push(Case::new(name, op, vec![boxes.into(), scores.into()]));
     }
+    let proposals =
+        Nms { iou_threshold: 0.7, max_out: 100, min_size: 1e-3, sorted: true, count: true, ..half };
+    let inputs =
+        vec![random_boxes(1000, 1000, 320.0, 120.0).into(), ranks(1000), integers([1], &[1000])];
+    cases.push(Case::new("the proposals", proposals, inputs).in_network());
+    let detections = Nms { max_out: 100, min_score: 0.05, classes: true, count: true, ..half };
+    let inputs = vec![
+        random_boxes(1010, 200, 320.0, 120.0).into(),
+        random(1011, [200]).into(),
+        random_integers(1012, [200], 2),
+        integers([1], &[200]),
+    ];
+    cases.push(Case::new("the detections", detections, inputs).in_network());
     cases
 }

@@ -266,6 +266,32 @@ fn cases() -> Vec<Case> {
             ],
         )
         .by_hand(vec![values([3, 1, 1, 1], &[0.0, 33.0, 0.0])]),
+        // f = 10y + x + 5 on 3 × 5 features. Exactly at −1 and at the length there is still the edge:
+        // x = −1, y = −1, x = 5 and y = 3 give f(0, 1), f(1, 0), f(4, 1), f(1, 2). A quarter further
+        // there is nothing. All coordinates are sums of quarters, which nothing rounds.
+        Case::new(
+            "exactly at the edges by hand",
+            one,
+            vec![
+                Tensor::from_fn([1, 3, 5], |i| (10 * (i / 5) + i % 5 + 5) as f32).into(),
+                values(
+                    [8, 4],
+                    &[
+                        [-1.0, 1.0, 0.0, 2.0],
+                        [1.0, -1.0, 2.0, 0.0],
+                        [5.0, 1.0, 6.0, 2.0],
+                        [1.0, 3.0, 2.0, 4.0],
+                        [-1.25, 1.0, -0.25, 2.0],
+                        [1.0, -1.25, 2.0, -0.25],
+                        [5.25, 1.0, 6.25, 2.0],
+                        [1.0, 3.25, 2.0, 4.25],
+                    ]
+                    .concat(),
+                ),
+            ],
+        )
+        .by_hand(vec![values([8, 1, 1, 1], &[15.0, 6.0, 19.0, 26.0, 0.0, 0.0, 0.0, 0.0])])
+        .exact(),
         // Four samples at 0.75 and 1.25 of each axis, whose mean is at 1: 11.
         Case::new(
             "four samples and one box counted by hand",
@@ -309,6 +335,13 @@ fn cases() -> Vec<Case> {
         let inputs = vec![random(seed + 1, shape).into(), boxes.into(), integers([1], &[count])];
         cases.push(Case::new(name, op, inputs));
     }
+    // Features that differ by less than f16 can tell.
+    let mut features = random(1000, [256, 40, 40]);
+    features.data_mut().iter_mut().for_each(|x| *x = 1.0 + (1.0 + 0.5 * *x) / 4096.0);
+    let head = RoiAlign { spatial_scale: 0.125, output_size: 7, ..counted };
+    let inputs =
+        vec![features.into(), random_boxes(1001, 100, 320.0, 120.0).into(), integers([1], &[100])];
+    cases.push(Case::new("the RoI head", head, inputs).in_network());
     cases
 }
 

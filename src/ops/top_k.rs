@@ -3,7 +3,7 @@
 use crate::cpu;
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
-use crate::ops::case::{Case, integers, random, random_integers, values};
+use crate::ops::case::{Case, integers, one_way, random, random_integers, values};
 use crate::ops::count::{count_tensor, expect_count, live};
 use crate::ops::op::{Entry, Op, Tolerance};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
@@ -255,5 +255,18 @@ fn cases() -> Vec<Case> {
     // Ever lower: the radix select goes through all bytes of the key.
     let close = Tensor::from_fn([3001], |i| f32::from_bits(0x3f80_0000 + (i as u32 * 7) % 3001));
     cases.push(Case::new("neighbouring values", all(700), vec![close.into()]));
+    // The ten highest come last, and the ties' cut is between two indices that differ in their last
+    // byte alone: more of them than room would displace the highest.
+    let last = Tensor::from_fn([5003], |i| if i < 4993 { 0.0 } else { 1.0 });
+    cases.push(Case::new("ties to the last byte by hand", all(1024), vec![last.into()]).by_hand(
+        vec![
+            Tensor::from_fn([1024], |i| if i < 10 { 1.0 } else { 0.0 }).into(),
+            Tensor::from_fn([1024], |i| if i < 10 { 4993 + i as u32 } else { i as u32 - 10 })
+                .into(),
+            integers([1], &[1024]),
+        ],
+    ));
+    let scores = one_way(1000, [12, 40, 40]).into();
+    cases.push(Case::new("the anchors", all(1000), vec![scores]).in_network());
     cases
 }

@@ -4,7 +4,7 @@ use crate::cpu;
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{magnitude, sum_error};
-use crate::ops::case::{Case, random, random_scaled, values};
+use crate::ops::case::{Case, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, check_inputs, map_dims};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
@@ -186,5 +186,9 @@ fn cases() -> Vec<Case> {
     }
     cases.push(Case::new("1e30", to(9, 11), vec![random_scaled(90, [3, 5, 7], 1e30)]));
     cases.push(Case::new("1e-30", to(9, 11), vec![random_scaled(91, [3, 5, 7], 1e-30)]));
+    for (seed, edge) in [(1000, 20), (1001, 10)] {
+        let input = one_way(seed, [256, edge, edge]).into();
+        cases.push(Case::new(format!("{edge} to 40"), to(40, 40), vec![input]).in_network());
+    }
     cases
 }

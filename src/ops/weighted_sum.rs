@@ -3,8 +3,8 @@
 use crate::cpu;
 use crate::error::Result;
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
-use crate::ops::bounds::{magnitude, sum_error};
-use crate::ops::case::{Case, random, random_scaled, values};
+use crate::ops::bounds::{SumOrder, magnitude};
+use crate::ops::case::{Case, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, map_dims};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
@@ -100,11 +100,12 @@ impl Op for WeightedSum {
         Ok(vec![cpu::weighted_sum(inputs[0].f32()?, &maps).into()])
     }
 
-    /// A sum of K products, and the reference's own rounding.
+    /// A sum of K products.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
         let sizes = inputs.iter().map(|v| magnitude(v)).collect::<Result<Vec<_>>>()?;
         let sums = cpu::weighted_sum(&sizes[0], &sizes[1..].iter().collect::<Vec<_>>());
-        let each = sums.data().iter().map(|s| sum_error(self.maps + 1, f64::from(*s)));
+        let order = SumOrder::serial(self.maps);
+        let each = sums.data().iter().map(|s| order.error(f64::from(*s)));
         Ok(vec![Tolerance::Each(each.collect())])
     }
 }
@@ -158,5 +159,8 @@ fn cases() -> Vec<Case> {
         inputs.extend((0..maps).map(|k| random_scaled(seed + 1 + k as u64, dims, scale)));
         cases.push(Case::new(name, WeightedSum { maps }, inputs));
     }
+    let mut inputs: Vec<Value> = vec![one_way(1000, [3]).into()];
+    inputs.extend((1001..1004).map(|seed| Value::from(one_way(seed, [256, 40, 40]))));
+    cases.push(Case::new("the three scales", WeightedSum { maps: 3 }, inputs).in_network());
     cases
 }

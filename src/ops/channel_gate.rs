@@ -110,7 +110,7 @@ impl Op for ChannelGate {
 
     /// Each layer is a sum of products, off by its own roundings and by what the layer before left;
     /// ReLU does not enlarge that, and the logistic function divides it by 4. Two vectors go
-    /// through, so every layer counts twice. The first layer's sums are dealt out to [`LANES`]
+    /// through, so every layer counts twice. The first layer's sums are dealt out to `LANES`
     /// invocations.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
         let sizes = inputs.iter().map(|v| magnitude(v)).collect::<Result<Vec<_>>>()?;

@@ -89,7 +89,7 @@ impl Op for SpatialPool {
     }
 
     /// A maximum is one product, so one rounding (and the reference's own) of the largest of all;
-    /// the mean is one of C products, dealt out to [`SLICES`] invocations.
+    /// the mean is one of C products, dealt out to `SLICES` invocations.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
         let (input, gate) = (magnitude(inputs[0])?, magnitude(inputs[1])?);
         let sizes = cpu::spatial_pool(&input, &gate);

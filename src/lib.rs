@@ -28,7 +28,7 @@
 //! | [`ops`] | each operation: parameters, shape check, dispatches, error bound, cases |
 //! | [`graph`] | operations over named tensors, recorded for the GPU or walked on the CPU |
 //! | [`model`] | SMR-Net's stages, its configuration and its weights |
-//! | [`comparison`] | the whole network on a device, stage by stage, against the f64 reference |
+//! | [`comparison`] | the whole network on a device, by operation and by outcome, against the reference |
 //! | [`detector`] | [`GpuDetector`] |
 //! | [`picture`] | pictures from files that nobody vouches for |
 //! | [`sensor`] | the simulated sensor: gel, contact, optics, camera, snaps |

@@ -381,6 +381,19 @@ fn the_network_is_held_to_its_reference_on_a_picture() {
         assert!(ran.stdout.lines().any(|l| l.starts_with(stage)), "no {stage} in\n{}", ran.stdout);
     }
     assert!(ran.stdout.contains("scores within"), "{}", ran.stdout);
+    // Several: a line each, and what cannot be read is named.
+    fs::copy(sample, folder.path().join("a.png")).expect("copied");
+    fs::write(folder.path().join("b.png"), "no picture").expect("written");
+    let several = ["compare", "a.png", "b.png", "--size", "96"];
+    let ran = run(folder.path(), &several).expect(1).tells("b.png");
+    let lines: Vec<&str> = ran.stdout.lines().collect();
+    assert!(lines.len() == 2 && lines[0].starts_with("file") && lines[1].starts_with("a.png"));
+    let ran = run(folder.path(), &["compare", sample, "--size", "96", "--json"]).expect(0);
+    let record: serde_json::Value = serde_json::from_str(&ran.stdout).expect("one object");
+    assert_eq!(record["ok"], true);
+    assert_eq!(record["failures"], serde_json::json!([]));
+    let shares = record["stages"].as_array().expect("stages").iter().map(|s| s["share"].as_f64());
+    assert!(shares.clone().count() >= 10 && shares.flatten().all(|s| s <= 1.0), "{record}");
     run(folder.path(), &["compare", sample, "--device", "cpu"]).expect(2).tells("expected a GPU");
     run(folder.path(), &["compare", sample, "--size", "100"]).expect(2).tells("multiple of 32");
     run(folder.path(), &["compare", "none.png"]).expect(1).tells("none.png");

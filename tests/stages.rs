@@ -6,13 +6,18 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use image::DynamicImage;
-use smr_gpu::comparison::{STAGE_BOUND, relative_l2};
+use smr_gpu::comparison::relative_l2;
 use smr_gpu::gpu::{Gpu, GpuOptions, Plan, PlanOptions};
 use smr_gpu::model::{ModelConfig, Network, Thresholds, Variant, Weights};
 use smr_gpu::ops::Crop;
+use smr_gpu::sensor::dataset;
+use smr_gpu::sensor::render::Renderer;
+use smr_gpu::sensor::scene::Mix;
 use smr_gpu::tensor::{Tensor, Value};
 use smr_gpu::{Config, Device, Error, GpuDetector};
 
+/// The bound on each stage's relative L2 error on the pictures of these tests.
+const STAGE_BOUND: f64 = 1e-5;
 /// What a relative error of 1e-5 makes of a logit of 10, and so at most of a score.
 const SCORE: f32 = 1e-4;
 /// The same of a box's deltas, on 300 picture pixels, and of the box that they refer to.
@@ -88,17 +93,32 @@ fn stages_match_pytorch() {
 fn gpu_matches_the_f64_network_on_a_sample() {
     let gpu = detector(Device::default(), |_| ());
     let comparison = gpu.compare(&first_sample()).expect("a comparison");
-    let mut compared = 0;
-    for (name, error) in comparison.stages.iter().flat_map(|s| &s.tensors) {
-        println!("{name}: {error:.2e}");
-        assert!(*error <= STAGE_BOUND, "{name}: relative L2 error {error:.2e}");
-        compared += 1;
+    assert_eq!(comparison.failures().collect::<Vec<_>>(), [""; 0]);
+    let tensors: Vec<_> = comparison.stages.iter().flat_map(|s| &s.tensors).collect();
+    assert!(tensors.len() >= 100, "only {} tensors", tensors.len());
+    for tensor in tensors {
+        println!("{tensor:?}");
+        assert!(tensor.share <= 1.0 && tensor.bias.is_none_or(|b| b <= 1.0), "{tensor:?}");
+        assert!(tensor.drift.is_none_or(|d| d <= STAGE_BOUND), "{tensor:?}");
     }
-    assert!(compared >= 100, "only {compared} tensors");
-    assert!(!comparison.expected.detections.is_empty(), "the sample shows a snap");
-    assert_eq!(comparison.found.proposals, comparison.expected.proposals);
-    let (score, pixels) = comparison.differences().expect("the same detections");
-    assert!(score <= SCORE && pixels <= PIXELS, "{score} {pixels}");
+    let (found, expected) = (&comparison.found, &comparison.expected);
+    assert!(!expected.detections.is_empty(), "the sample shows a snap");
+    assert_eq!(found.detections.len(), expected.detections.len());
+    assert_eq!(found.proposals, expected.proposals);
+    let shift = comparison.shift;
+    assert!(shift.score <= SCORE.into() && shift.pixels <= PIXELS.into(), "{shift:?}");
+}
+
+/// A picture without a snap on which proposals overlap by 0.7 to within rounding, so that one is on
+/// one side alone and every later row moves.
+#[test]
+fn a_choice_by_rounding_is_no_failure() {
+    let scene = dataset::scene_seed(2004, 5);
+    let rendered = Renderer::new().render(scene, Mix::None).expect("a picture");
+    let picture = DynamicImage::from(rendered.picture);
+    let comparison = detector(Device::default(), |_| ()).compare(&picture).expect("a comparison");
+    println!("{:?}", comparison.excused().collect::<Vec<_>>());
+    assert_eq!(comparison.failures().collect::<Vec<_>>(), [""; 0]);
 }
 
 /// Shared buffers against one for each tensor: every output, to the bit.

@@ -15,7 +15,7 @@ use super::draw::{Artist, Gallery};
 use super::exit::{Exit, Failure};
 use super::output::{json_line, line, tell};
 use super::printable::printable;
-use super::source::{Source, expand};
+use super::source::{Source, expand_all};
 use super::{picture, tensors};
 
 /// Find the snaps in pictures
@@ -92,20 +92,7 @@ struct StageMs<'a> {
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    let mut exit = Exit::Done;
-    let mut sources = Vec::new();
-    for found in args.sources.iter().flat_map(|argument| expand(argument)) {
-        match found {
-            Ok(source) => sources.push(source),
-            Err(message) => {
-                tell(message);
-                exit = Exit::Inputs;
-            }
-        }
-    }
-    if sources.iter().filter(|s| **s == Source::Stdin).count() > 1 {
-        return Err(Failure::usage("`-`: expected once, got it several times"));
-    }
+    let (sources, mut exit) = expand_all(&args.sources)?;
     if args.dump_stages.is_some() && sources.len() != 1 {
         let got = sources.len();
         return Err(Failure::usage(format!("--dump-stages: expected one picture, got {got}")));

@@ -1,7 +1,10 @@
-//! What `detect` is pointed at: files, folders, patterns, stdin.
+//! What `detect` and `compare` are pointed at: files, folders, patterns, stdin.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
+
+use super::exit::{Exit, Failure};
+use super::output::tell;
 
 /// Endings of the picture files that are taken from a folder.
 const ENDINGS: [&str; 6] = ["png", "jpg", "jpeg", "bmp", "tif", "tiff"];
@@ -31,9 +34,32 @@ impl From<&Path> for Source {
     }
 }
 
+/// What all of a command's arguments name. What cannot be read is told; then the exit code is
+/// [`Exit::Inputs`].
+///
+/// # Errors
+/// [`Exit::Usage`] if stdin is named more than once.
+pub(super) fn expand_all(arguments: &[PathBuf]) -> Result<(Vec<Source>, Exit), Failure> {
+    let mut exit = Exit::Done;
+    let mut sources = Vec::new();
+    for found in arguments.iter().flat_map(|argument| expand(argument)) {
+        match found {
+            Ok(source) => sources.push(source),
+            Err(message) => {
+                tell(message);
+                exit = Exit::Inputs;
+            }
+        }
+    }
+    if sources.iter().filter(|s| **s == Source::Stdin).count() > 1 {
+        return Err(Failure::usage("`-`: expected once, got it several times"));
+    }
+    Ok((sources, exit))
+}
+
 /// The pictures that an argument names: a file itself, a folder's pictures sorted by name, what a
 /// pattern matches, or stdin for `-`. What cannot be listed is a line that names it.
-pub(super) fn expand(argument: &Path) -> Vec<Result<Source, String>> {
+fn expand(argument: &Path) -> Vec<Result<Source, String>> {
     let source = Source::from(argument);
     if source == Source::Stdin {
         return vec![Ok(source)];

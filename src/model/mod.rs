@@ -11,7 +11,6 @@ mod weights;
 
 pub use config::{ModelConfig, Variant};
 pub use roi_head::Thresholds;
-pub use rpn::Candidates;
 pub use weights::{MAX_FILE, Weights};
 
 use backbone::Features;
@@ -19,7 +18,7 @@ use backbone::Features;
 use crate::error::{Error, Result};
 use crate::gpu::TensorId;
 use crate::graph::Graph;
-use crate::ops::CropResize;
+use crate::ops::{CropResize, Nms};
 use crate::shape::{Extent, TensorSpec};
 
 /// The whole network as a graph, with the ids of what goes in and comes out.
@@ -43,10 +42,35 @@ pub struct Network {
     pub count: TensorId,
     /// Output: how many proposals the RoI head saw, `[1]`.
     pub proposal_count: TensorId,
-    /// What the proposals were chosen from.
-    pub candidates: Candidates,
+    /// Objectness logits of every anchor, `[A, H, W]`.
+    pub objectness: TensorId,
+    /// Which anchor each candidate for a proposal is, `[K]`.
+    pub anchors: TensorId,
+    /// The proposals, from the candidates.
+    pub proposals: Choice,
+    /// The detections, from a box for each proposal and class.
+    pub detections: Choice,
     /// Outputs of the heads, by which a value that is not finite is noticed.
     pub witnesses: Vec<Witness>,
+}
+
+/// A choice by non-maximum suppression. What it chooses from has a row for each of N.
+#[derive(Clone, Copy, Debug)]
+pub struct Choice {
+    /// How it was made.
+    pub rule: Nms,
+    /// Boxes in pixels of the network's input, `[N, 4]`.
+    pub boxes: TensorId,
+    /// What they are ordered by, `[N]`: a score or its logit.
+    pub order: TensorId,
+    /// Classes `[N]`, if boxes of different classes are no rivals.
+    pub classes: Option<TensorId>,
+    /// How many of the N there are, `[1]`.
+    pub count: TensorId,
+    /// Places of the chosen among the N, best first.
+    pub keep: TensorId,
+    /// How many were chosen, `[1]`.
+    pub kept: TensorId,
 }
 
 /// An output in which to look for values that are not finite.
@@ -101,7 +125,10 @@ impl Network {
             classes: head.classes,
             count: head.count,
             proposal_count: proposals.count,
-            candidates: proposals.candidates,
+            objectness: proposals.maps[0],
+            anchors: proposals.anchors,
+            proposals: proposals.choice,
+            detections: head.choice,
             witnesses,
         })
     }

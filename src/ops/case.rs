@@ -243,32 +243,7 @@ fn compare(
     let mut bad = 0;
     let mut first = None;
     for i in 0..defined {
-        let (error, limit, shown) = match (got, want) {
-            (Value::F32(g), Value::F32(w)) => {
-                let (g, w) = (g.data()[i], w.data()[i]);
-                let limit = match bound {
-                    Tolerance::Exact => 0.0,
-                    Tolerance::Uniform(b) => *b,
-                    Tolerance::Each(b) => b[i],
-                };
-                // A NaN among the inputs leaves no bound either, but must stay one.
-                let both_nan = g.is_nan() && w.is_nan();
-                let limit = if both_nan { 0.0 } else { limit };
-                let error = match g.to_bits() == w.to_bits() {
-                    true => 0.0,
-                    // −0 is not 0 where bits count.
-                    false if *bound == Tolerance::Exact => f64::INFINITY,
-                    false if g == w || both_nan => 0.0,
-                    false => (f64::from(g) - f64::from(w)).abs(),
-                };
-                (error, limit, format!("{g} instead of {w} ± {limit:.3e}"))
-            }
-            (Value::U32(g), Value::U32(w)) => {
-                let (g, w) = (g.data()[i], w.data()[i]);
-                (f64::from(g.abs_diff(w)), 0.0, format!("{g} instead of {w}"))
-            }
-            _ => continue,
-        };
+        let (error, limit) = bound.judge(got, want, i);
         if whose == "shader" {
             report.max_error = report.max_error.max(error);
             if limit > 0.0 {
@@ -279,7 +254,10 @@ fn compare(
         let within = error <= limit;
         if !within {
             bad += 1;
-            first.get_or_insert(format!("element {i}: {shown}"));
+            first.get_or_insert_with(|| {
+                let (got, want) = (got.show(i), want.show(i));
+                format!("element {i}: {got} instead of {want} ± {limit:.3e}")
+            });
         }
     }
     if let Some(first) = first {

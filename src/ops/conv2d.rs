@@ -225,6 +225,10 @@ impl Op for Conv2d {
         let each = sums.data().iter().map(|s| order.error(f64::from(*s)));
         Ok(vec![Tolerance::Each(each.collect())])
     }
+
+    fn unbiased(&self) -> bool {
+        true
+    }
 }
 
 /// `[O, I, kh, kw]` to `[kh, kw, I, O']`, with zeros up to a whole number of [`CHANNELS`].

@@ -183,6 +183,10 @@ impl Op for Linear {
         Ok(vec![Tolerance::Each(each)])
     }
 
+    fn unbiased(&self) -> bool {
+        true
+    }
+
     fn defined(&self, reference: &[&Value], inputs: &[&Value]) -> Vec<usize> {
         let shape = reference[0].spec().shape;
         let rows = live(inputs.get(3).copied(), shape.0[0]).unwrap_or(0);

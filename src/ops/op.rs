@@ -85,6 +85,12 @@ pub trait Op: Debug + Send + Sync {
     /// As [`Op::infer`].
     fn tolerance(&self, inputs: &[&Value], reference: &[Value]) -> Result<Vec<Tolerance>>;
 
+    /// Whether the errors are the roundings of sums and products alone: each falls to either side, so
+    /// that they cancel over a tensor. What stays the same in every element is then no rounding.
+    fn unbiased(&self) -> bool {
+        false
+    }
+
     /// How many leading elements of each output are defined, where a count on the device decides;
     /// what lies behind them is neither written nor compared.
     fn defined(&self, reference: &[&Value], _inputs: &[&Value]) -> Vec<usize> {
@@ -101,6 +107,42 @@ pub enum Tolerance {
     Uniform(f64),
     /// An absolute bound for each element.
     Each(Vec<f64>),
+}
+
+impl Tolerance {
+    /// The bound of element `i`.
+    pub fn limit(&self, i: usize) -> f64 {
+        match self {
+            Self::Exact => 0.0,
+            Self::Uniform(bound) => *bound,
+            Self::Each(bounds) => bounds[i],
+        }
+    }
+
+    /// The error of element `i` and the most that it may be; an error that is not a number is above
+    /// every bound.
+    pub fn judge(&self, got: &Value, want: &Value, i: usize) -> (f64, f64) {
+        let limit = self.limit(i);
+        match (got, want) {
+            (Value::F32(got), Value::F32(want)) => {
+                let (got, want) = (got.data()[i], want.data()[i]);
+                // A NaN among the inputs leaves no bound either, but must stay one.
+                let both_nan = got.is_nan() && want.is_nan();
+                let error = match got.to_bits() == want.to_bits() {
+                    true => 0.0,
+                    // −0 is not 0 where bits count.
+                    false if *self == Self::Exact => f64::INFINITY,
+                    false if got == want || both_nan => 0.0,
+                    false => (f64::from(got) - f64::from(want)).abs(),
+                };
+                (error, if both_nan { 0.0 } else { limit })
+            }
+            (Value::U32(got), Value::U32(want)) => {
+                (f64::from(got.data()[i].abs_diff(want.data()[i])), 0.0)
+            }
+            _ => (f64::INFINITY, 0.0),
+        }
+    }
 }
 
 /// Unit roundoff of f32: half the distance from 1 to the next float.

@@ -1,8 +1,8 @@
 """Fits the score's temperature and the stated deviations to pictures with labels, and writes them into a copy of the weight file.
 
-The temperature divides the class logits; it is the one under which the detections'
-scores say best how often they are right (least log loss; right: right class, overlap of
-at least half, each snap once). The deviations of yaw and of the centre are multiplied so
+The temperature divides the class logits; it is the one under which the scores of the
+detections that there are at temperature 1 say best how often they are right (least log
+loss; right: right class, overlap of at least half, each snap once). The deviations of yaw and of the centre are multiplied so
 that 68.3 % of the errors lie within one of them: a log variance is an output of
 roi_head.pose, so that goes into its bias. Figures before and after are printed, after on
 the same pictures: others must judge them.
@@ -22,7 +22,7 @@ import torch
 import weightfile
 from data import network_input, normalise, picture_path, read_coco, read_picture
 from metrics import calibration_error, right
-from model import SmrNet, classify
+from model import SmrNet, classify, survivors
 
 SHARE = math.erf(math.sqrt(0.5))  # of a normal distribution within one deviation
 
@@ -57,6 +57,18 @@ class Looks:
         return (np.concatenate(parts) for parts in zip(*((d["scores"].numpy(), (f >= 0).numpy()) for _, d, f in found)))
 
 
+    def logits(self) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
+        """Of all detections at temperature 1: the class logits [D, classes + 1], the label [D], whether it is right [D]."""
+        self.config.temperature = 1.0
+        rows = []
+        for proposals, heads, size, truth in self.rows:
+            boxes, scores, labels, regions = survivors(self.config, heads, proposals, size, 0.05, 0.5)
+            hits = right(truth, {"boxes": boxes, "scores": scores, "labels": labels}) >= 0
+            rows.append((heads.scores[regions], labels, hits))
+        logits, labels, hits = (torch.cat(parts) for parts in zip(*rows))
+        return logits, labels, hits.numpy()
+
+
 def log_loss(scores: np.ndarray, hits: np.ndarray) -> float:
     p = scores.astype(np.float64).clip(1e-6, 1 - 1e-6)
     return float(-np.where(hits, np.log(p), np.log(1 - p)).mean())
@@ -87,7 +99,8 @@ def main() -> None:
     model = weightfile.load(args.weights)
     looks = Looks(model, args.data, args.limit)
     grid = np.exp(np.linspace(math.log(0.4), math.log(4), 47))
-    losses = [log_loss(*looks.scores(t)) for t in grid]
+    logits, labels, hits = looks.logits()
+    losses = [log_loss((logits / t).softmax(dim=1).gather(1, labels[:, None])[:, 0].numpy(), hits) for t in grid]
     best = round(float(grid[int(np.argmin(losses))]), 3)
     for name, t in (("before", 1.0), ("after", best)):
         scores, hits = looks.scores(t)

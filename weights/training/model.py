@@ -369,8 +369,8 @@ def propose(logits: Tensor, deltas: Tensor, anchors: Tensor, size, before: int =
     return proposals[keep], scores[keep]
 
 
-def classify(config: Config, heads: Heads, proposals: Tensor, size, threshold: float, nms: float) -> dict[str, Tensor]:
-    """One picture's detections from the head's outputs: per-class boxes, NMS within a class, the best 100."""
+def survivors(config: Config, heads: Heads, proposals: Tensor, size, threshold: float, nms: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """One picture's boxes, scores, labels and the regions that they came from: per-class boxes, NMS within a class, the best 100."""
     proposals = proposals.to(heads.scores.dtype)
     probability = (heads.scores / config.temperature).softmax(dim=1)
     found = bx.decode(heads.regression.view(len(proposals), -1, 4), proposals[:, None], bx.ROI_WEIGHTS)
@@ -385,8 +385,14 @@ def classify(config: Config, heads: Heads, proposals: Tensor, size, threshold: f
     # Descending score; equal scores keep the order (proposal, class) they came in.
     keep = keep.sort().values
     keep = keep[probability[keep].argsort(descending=True, stable=True)][:100]
-    result = {"boxes": found[keep], "scores": probability[keep], "labels": labels[keep]}
+    return found[keep], probability[keep], labels[keep], rows[keep]
+
+
+def classify(config: Config, heads: Heads, proposals: Tensor, size, threshold: float, nms: float) -> dict[str, Tensor]:
+    """One picture's detections from the head's outputs, as `SmrNet.detect` gives them."""
+    boxes, scores, labels, rows = survivors(config, heads, proposals, size, threshold, nms)
+    result = {"boxes": boxes, "scores": scores, "labels": labels}
     if heads.pose is not None:
         directed = torch.tensor([False, *(c in config.directed for c in config.classes)], device=labels.device)
-        result |= pose.decode(heads.pose[rows[keep]], directed[labels[keep]])
+        result |= pose.decode(heads.pose[rows], directed[labels])
     return result

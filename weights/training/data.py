@@ -27,6 +27,8 @@ JITTER = 1.25
 # Side of a step's views: one of these, or whole pictures in the rest of the steps.
 WINDOWS = (160, 192, 224, 256)
 WHOLE_SHARE = 0.25
+# Of a batch: each view brings as many regions, however small it is.
+MOST_VIEWS = 24
 # A cut part's upright box is its whole's clipped box only if the part stands upright or is round, or if little is cut.
 LEFT_UPRIGHT, LEFT_SLANTED, UPRIGHT = 0.7, 0.9, 0.35
 
@@ -252,21 +254,25 @@ class Sampler:
         return chunk, at, (height, width), bool(rng.random() < 0.5)
 
     def batch(self, step: int) -> tuple[Tensor, list[dict]]:
-        """Pixels [B, 3, h, w] in 0 to 255 and targets; h, w and B change from step to step, B * h * w is about `area`."""
+        """Pixels [B, 3, h, w] in 0 to 255 and targets; h, w and B change from step to step, B * h * w is about `area`, or less where the views are small."""
         rng = np.random.default_rng([self.seed, step])
         limit = 10**6 if rng.random() < WHOLE_SHARE else int(rng.choice(WINDOWS))
         first = self._draw(rng)
         window = tuple(min(whole_tiles(side), limit) for side in (first[2][::-1] if first[3] else first[2]))
-        count = max(2, round(self.area / (window[0] * window[1])))
+        count = min(MOST_VIEWS, max(2, round(self.area / (window[0] * window[1]))))
         views = [first]
         while len(views) < count:
-            # A much smaller picture would be mostly padding.
+            # One that fills the window, or nearly: a smaller picture would be mostly padding.
+            best, best_filled = None, 0.0
             for _ in range(50):
                 view = self._draw(rng)
                 size = view[2][::-1] if view[3] else view[2]
-                if all(whole_tiles(side) >= wanted for side, wanted in zip(size, window)):
+                filled = min(whole_tiles(side) / wanted for side, wanted in zip(size, window))
+                if filled > best_filled:
+                    best, best_filled = view, filled
+                if filled >= 1:
                     break
-            views.append(view)
+            views.append(best)
         pixels, targets = zip(*(self._view(v, window, rng) for v in views))
         return photometric(torch.stack(pixels), rng) * 255, list(targets)
 

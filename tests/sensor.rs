@@ -9,13 +9,21 @@ use rand_pcg::Pcg64;
 use smr_gpu::sensor::camera::{Camera, NormalTable};
 use smr_gpu::sensor::contact::{Contact, NO_BODY, Stop, solve};
 use smr_gpu::sensor::dataset::{Settings, scene_seed, simulate};
+use smr_gpu::sensor::frame::Frame;
 use smr_gpu::sensor::gel::{Elasticity, Grid, Layer};
 use smr_gpu::sensor::label::imprints;
 use smr_gpu::sensor::optics::{Fit, Shading, measured_sensors, normal_terms, position_terms};
-use smr_gpu::sensor::render::{GRID, LEAST_IMPRINT_PX, Renderer, STOP, Surface};
+use smr_gpu::sensor::render::{GRID, LEAST_IMPRINT_MM, Renderer, Request, STOP};
 use smr_gpu::sensor::scene::{Body, Mix, Scene};
 use smr_gpu::sensor::snaps::{Kind, Snap};
-use smr_gpu::sensor::{Error, GEL_MM, MM_PER_PX, PICTURE_PX, calibrate};
+use smr_gpu::sensor::surface::Surface;
+use smr_gpu::sensor::{Error, calibrate};
+
+const PICTURE_PX: usize = Frame::PAPER.width;
+const MM_PER_PX: f64 = Frame::PAPER.mm_per_pixel;
+const GEL_MM: f64 = PICTURE_PX as f64 * MM_PER_PX;
+/// The whole of a plain picture.
+const WINDOW: [f64; 4] = [0.0, 0.0, 1000.0, 1000.0];
 
 const EXACT: Stop = Stop { tolerance_mm: 1e-5, max_iterations: 400 };
 
@@ -285,7 +293,7 @@ fn the_label_of_a_flat_punch_is_its_projected_outline() {
     let mut elasticity = Elasticity::new(&Layer::default(), GRID);
     let contact = solve(&mut elasticity, &penetration, &[], STOP);
     let camera = Camera::default();
-    let found = imprints(&Body { penetration, owner }, &contact, GRID, &camera, 1);
+    let found = imprints(&Body { penetration, owner }, &contact, GRID, &camera, WINDOW, 1);
     let imprint = found[0].expect("it touches");
     let scale = 125.0 / (125.0 - depth) / MM_PER_PX;
     let expected = [
@@ -308,7 +316,8 @@ fn labels_end_at_the_picture() {
     let owner = vec![0; GRID.len()];
     let mut elasticity = Elasticity::new(&Layer::default(), GRID);
     let contact = solve(&mut elasticity, &penetration, &[], STOP);
-    let found = imprints(&Body { penetration, owner }, &contact, GRID, &Camera::default(), 1);
+    let found =
+        imprints(&Body { penetration, owner }, &contact, GRID, &Camera::default(), WINDOW, 1);
     let [x0, _, x1, _] = found[0].expect("it touches").pixel_box;
     assert_eq!(x1, PICTURE_PX as f64);
     assert!((x0 - (500.0 + 16.0 / MM_PER_PX)).abs() < 4.5, "{x0}");
@@ -505,20 +514,22 @@ fn scenes_follow_their_rules() {
 fn every_snap_that_shows_is_labelled() {
     let mut renderer = Renderer::new();
     for seed in 0..4 {
-        let rendered = renderer.render(seed, Mix::B).expect("a picture");
+        let rendered = renderer.render(seed, &Request::plain(Mix::B)).expect("a picture");
         assert_eq!(rendered.picture.dimensions(), (PICTURE_PX as u32, PICTURE_PX as u32));
         assert!(!rendered.labels.is_empty());
         for label in &rendered.labels {
             assert_eq!(label.kind, Kind::B);
             let [x0, y0, x1, y1] = label.pixel_box;
             assert!(0.0 <= x0 && x0 < x1 && x1 <= 1000.0 && 0.0 <= y0 && y0 < y1 && y1 <= 1000.0);
-            assert!((x1 - x0).max(y1 - y0) >= LEAST_IMPRINT_PX);
+            assert!((x1 - x0).max(y1 - y0) * MM_PER_PX >= LEAST_IMPRINT_MM);
             assert!((label.center_mm[0] - ((x0 + x1) / 2.0 - 500.0) * MM_PER_PX).abs() < 1e-9);
             // A ring touches part of its box.
             let fill = label.area_px / ((x1 - x0) * (y1 - y0));
             assert!((0.02..0.95).contains(&fill), "{fill} of the box touches");
         }
-        assert!(renderer.render(seed, Mix::None).expect("a picture").labels.is_empty());
+        assert!(
+            renderer.render(seed, &Request::plain(Mix::None)).expect("a picture").labels.is_empty()
+        );
     }
 }
 
@@ -546,8 +557,12 @@ fn relative(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 #[test]
 fn data_sets_do_not_depend_on_threads_or_interruptions() {
     let (one, three) = (tempfile::tempdir().expect("one"), tempfile::tempdir().expect("three"));
-    let settings =
-        |out: &Path, count| Settings { out: out.into(), count, seed: 42, mix: Mix::Mixed };
+    let settings = |out: &Path, count| Settings {
+        out: out.into(),
+        count,
+        seed: 42,
+        request: Request::plain(Mix::Mixed),
+    };
     let run = |settings: &Settings, threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
         let seen = Mutex::new(Vec::new());

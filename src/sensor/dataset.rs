@@ -3,7 +3,7 @@
 //! A folder holds `images/000000.png` and so on, `labels/000000.json` with what was drawn, and
 //! `annotations.json` once all is there. Each scene's seed is a hash of the data set's seed and
 //! the picture's number, so data sets of different seeds share no scene: splits are kept apart by
-//! giving each its own seed. A picture depends on its scene's seed and the kinds asked for alone,
+//! giving each its own seed. A picture depends on its scene's seed and the request alone,
 //! not on threads, order or the number of pictures. Another kind of processor may round a
 //! transform otherwise and change single levels.
 
@@ -14,14 +14,18 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use image::ExtendedColorType;
 use image::ImageEncoder;
+use image::RgbImage;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::render::{Label, Rendered, Renderer};
+use super::Error;
+use super::conditions::{Conditions, Distribution, Forced};
+use super::distractors::Part;
+use super::frame::Frame;
+use super::render::{Label, Rendered, Renderer, Request};
 use super::scene::Mix;
 use super::snaps::Kind;
-use super::{Error, PICTURE_PX};
 
 /// Pictures that a worker takes at a time, to make its plans and buffers rarely.
 const CHUNK: usize = 8;
@@ -35,8 +39,8 @@ pub struct Settings {
     pub count: usize,
     /// Seed of the data set.
     pub seed: u64,
-    /// Which snaps the pictures show.
-    pub mix: Mix,
+    /// What the pictures show, and under which conditions.
+    pub request: Request,
 }
 
 /// What [`simulate`] did.
@@ -51,19 +55,46 @@ pub struct Summary {
 }
 
 /// What a folder was made with; another call must ask for the same.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Origin {
     seed: u64,
     kind: Mix,
     simulator: u32,
+    #[serde(default)]
+    conditions: Distribution,
+    #[serde(default)]
+    part: Option<Part>,
+    #[serde(default)]
+    forced: Forced,
+}
+
+impl Origin {
+    fn of(settings: &Settings) -> Self {
+        let Request { mix, conditions, part, forced } = &settings.request;
+        Self {
+            seed: settings.seed,
+            kind: *mix,
+            simulator: simulator(*conditions),
+            conditions: *conditions,
+            part: *part,
+            forced: forced.clone(),
+        }
+    }
 }
 
 /// Raised when the same seed would give another picture.
-const SIMULATOR: u32 = 2;
+fn simulator(conditions: Distribution) -> u32 {
+    match conditions {
+        Distribution::Plain => 2,
+        Distribution::Wide => 3,
+    }
+}
 
 #[derive(Serialize, Deserialize)]
 struct Sidecar {
     scene_seed: u64,
+    frame: Frame,
+    conditions: Conditions,
     snaps: Vec<Label>,
 }
 
@@ -84,7 +115,7 @@ pub fn scene_seed(seed: u64, index: u64) -> u64 {
 /// pictures than are there labels the first ones.
 ///
 /// # Errors
-/// [`Error::OtherDataset`] if the folder was made with another seed or kind; [`Error::Io`],
+/// [`Error::OtherDataset`] if the folder was made with another seed or request; [`Error::Io`],
 /// [`Error::Image`] or [`Error::Content`] for files; [`Error::NoScene`] from the renderer.
 pub fn simulate(
     settings: &Settings,
@@ -106,10 +137,11 @@ pub fn simulate(
     missing.par_chunks(CHUNK).try_for_each_init(Renderer::new, |renderer, chunk| {
         for &i in chunk {
             let scene_seed = scene_seed(settings.seed, i as u64);
-            let Rendered { picture, labels: snaps } = renderer.render(scene_seed, settings.mix)?;
-            let sidecar = Sidecar { scene_seed, snaps };
+            let Rendered { picture, frame, conditions, labels: snaps } =
+                renderer.render(scene_seed, &settings.request)?;
+            let sidecar = Sidecar { scene_seed, frame, conditions, snaps };
             write_json(&label_path(&labels, i), &sidecar)?;
-            write_picture(&image_path(&images, i), picture.as_raw())?;
+            write_picture(&image_path(&images, i), &picture)?;
             progress(1 + done.fetch_add(1, Ordering::Relaxed), settings.count);
         }
         Ok(())
@@ -128,7 +160,7 @@ fn label_path(folder: &Path, index: usize) -> PathBuf {
 
 fn check_origin(settings: &Settings) -> Result<(), Error> {
     let path = settings.out.join("origin.json");
-    let wanted = Origin { seed: settings.seed, kind: settings.mix, simulator: SIMULATOR };
+    let wanted = Origin::of(settings);
     let other = |expected: &Origin, found: String| Error::OtherDataset {
         path: settings.out.clone(),
         expected: show(expected),
@@ -156,7 +188,17 @@ fn show(origin: &Origin) -> String {
         Mix::Mixed => "mixed",
         Mix::None => "none",
     };
-    format!("seed {}, kind {kind}, simulator {}", origin.seed, origin.simulator)
+    let mut text = format!("seed {}, kind {kind}, simulator {}", origin.seed, origin.simulator);
+    if origin.conditions == Distribution::Wide {
+        text += ", wide conditions";
+    }
+    if let Some(part) = origin.part {
+        text += &format!(", part {part:?}").to_lowercase();
+    }
+    if origin.forced != Forced::default() {
+        text += ", forced conditions";
+    }
+    text
 }
 
 /// Writes under another name, then renames: a file is whole or not there.
@@ -187,10 +229,11 @@ fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Error> {
     })
 }
 
-fn write_picture(path: &Path, bytes: &[u8]) -> Result<(), Error> {
+fn write_picture(path: &Path, picture: &RgbImage) -> Result<(), Error> {
+    let (width, height) = picture.dimensions();
     write_whole(path, |file| {
         PngEncoder::new_with_quality(file, CompressionType::Fast, FilterType::Sub)
-            .write_image(bytes, PICTURE_PX as u32, PICTURE_PX as u32, ExtendedColorType::Rgb8)
+            .write_image(picture.as_raw(), width, height, ExtendedColorType::Rgb8)
             .map_err(Error::image(path))
     })
 }
@@ -206,9 +249,8 @@ struct Coco {
 #[derive(Serialize)]
 struct CocoInfo {
     description: &'static str,
-    seed: u64,
-    kind: Mix,
-    simulator: u32,
+    #[serde(flatten)]
+    origin: Origin,
 }
 
 #[derive(Serialize)]
@@ -226,6 +268,8 @@ struct CocoImage {
     height: usize,
     /// As text: 64 bits do not fit a JSON number everywhere.
     scene_seed: String,
+    mm_per_pixel: f64,
+    conditions: Conditions,
 }
 
 #[derive(Serialize)]
@@ -239,10 +283,17 @@ struct CocoAnnotation {
     area: f64,
     iscrowd: u32,
     kind: &'static str,
-    yaw_deg: f64,
+    /// Direction in which A's barbed tip points; none for B.
+    yaw_deg: Option<f64>,
     depth_mm: f64,
     center_mm: [f64; 2],
     contact_area_px: f64,
+    whole: bool,
+    visible: f64,
+    slots: Option<u32>,
+    hole_mm: Option<f64>,
+    wall: bool,
+    on_side: bool,
 }
 
 /// Rounds to a thousandth, which is less than the labels' error.
@@ -254,9 +305,7 @@ fn write_annotations(settings: &Settings, labels: &Path) -> Result<usize, Error>
     let mut coco = Coco {
         info: CocoInfo {
             description: "simulated tactile pictures of snap joints",
-            seed: settings.seed,
-            kind: settings.mix,
-            simulator: SIMULATOR,
+            origin: Origin::of(settings),
         },
         categories: [Kind::A, Kind::B].map(|kind| CocoCategory {
             id: kind.category_id(),
@@ -271,9 +320,11 @@ fn write_annotations(settings: &Settings, labels: &Path) -> Result<usize, Error>
         coco.images.push(CocoImage {
             id,
             file_name: format!("{id:06}.png"),
-            width: PICTURE_PX,
-            height: PICTURE_PX,
+            width: sidecar.frame.width,
+            height: sidecar.frame.height,
             scene_seed: sidecar.scene_seed.to_string(),
+            mm_per_pixel: sidecar.frame.mm_per_pixel,
+            conditions: sidecar.conditions,
         });
         for snap in sidecar.snaps {
             let [x0, y0, x1, y1] = snap.pixel_box;
@@ -285,10 +336,16 @@ fn write_annotations(settings: &Settings, labels: &Path) -> Result<usize, Error>
                 area: rounded((x1 - x0) * (y1 - y0)),
                 iscrowd: 0,
                 kind: snap.kind.name(),
-                yaw_deg: rounded(snap.yaw_deg),
+                yaw_deg: snap.yaw_deg.map(rounded),
                 depth_mm: rounded(snap.depth_mm),
                 center_mm: snap.center_mm.map(rounded),
                 contact_area_px: rounded(snap.area_px),
+                whole: snap.whole,
+                visible: rounded(snap.visible),
+                slots: snap.slots,
+                hole_mm: snap.hole_mm.map(rounded),
+                wall: snap.wall,
+                on_side: snap.on_side,
             });
         }
     }

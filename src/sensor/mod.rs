@@ -24,24 +24,26 @@
 pub mod calibrate;
 pub mod camera;
 pub mod coating;
+pub mod conditions;
 pub mod contact;
 pub mod dataset;
 pub mod distractors;
+pub mod frame;
 pub mod gel;
 pub mod label;
+pub mod lamps;
+pub mod layout;
+pub mod look;
+pub mod markers;
 pub mod optics;
 pub mod profile;
 pub mod render;
 pub mod scene;
+pub mod shadow;
+pub mod smooth;
 pub mod snaps;
+pub mod surface;
 
 mod error;
 
 pub use error::Error;
-
-/// Side of a picture in pixels.
-pub const PICTURE_PX: usize = 1000;
-/// Side of a pixel on the undeformed gel, in millimetres.
-pub const MM_PER_PX: f64 = 0.04;
-/// Side of the gel, and of the picture on it, in millimetres.
-pub const GEL_MM: f64 = PICTURE_PX as f64 * MM_PER_PX;

@@ -144,7 +144,7 @@ impl Conditions {
             true if !mild => Mechanics::Smoothed,
             _ => Mechanics::Elastic,
         };
-        let gel_mm = if rng.random_bool(0.4) || mild { 4.0 } else { rng.random_range(1.5..6.0) };
+        let gel_mm = if rng.random_bool(0.4) || mild { 4.0 } else { rng.random_range(2.5..6.0) };
         // Drawn evenly over its logarithm: between these.
         let log =
             |rng: &mut Pcg64, low: f64, high: f64| rng.random_range(low.ln()..high.ln()).exp();
@@ -323,7 +323,7 @@ impl Span {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Forced {
-    /// Whether all that is not forced is as on the paper's sensor.
+    /// Whether all that is not forced is as on the paper's sensor: frame, light and snaps.
     pub mild: bool,
     /// The frame.
     pub frame: Option<Frame>,
@@ -407,6 +407,12 @@ const NUMBERS: [(&str, f64, f64); 16] = [
 const FLAGS: [&str; 6] = ["mild", "housing", "wall", "side", "cut", "touching"];
 
 impl Forced {
+    /// Whether snaps are drawn as in plain pictures.
+    pub fn leaves_parts_plain(&self) -> bool {
+        let shaped = self.wall.or(self.side).is_some() || self.slots.or(self.hole).is_some();
+        self.mild && !shaped
+    }
+
     /// Sets one condition from `key` or `key=value`; a number may be a range, `low..high`.
     ///
     /// # Errors

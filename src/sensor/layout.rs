@@ -161,7 +161,7 @@ impl Layout<'_> {
             };
             self.add_snap(kind);
         }
-        let touching = self.rng.random_bool(0.15);
+        let touching = self.rng.random_bool(0.15) && !self.forced.mild;
         if self.forced.touching.unwrap_or(touching) {
             self.add_neighbour(part);
         }
@@ -213,8 +213,12 @@ impl Layout<'_> {
     }
 
     fn add_snap(&mut self, kind: Kind) {
-        let part = Snap::sample_wide(self.rng, kind, self.forced);
-        let depth_mm = part.sample_wide_depth(self.rng);
+        let mut part = Snap::sample_wide(self.rng, kind, self.forced);
+        let mut depth_mm = part.sample_wide_depth(self.rng);
+        if self.forced.leaves_parts_plain() {
+            part = Snap::sample(self.rng, kind);
+            depth_mm = part.sample_depth(self.rng);
+        }
         let depth_mm = self.forced.depth.map_or(depth_mm, |span| span.sample(self.rng));
         // A long wall at a large tilt would go deeper than any snap.
         let walled = matches!(part, Snap::Hook(Hook { wall: true, .. }));

@@ -282,8 +282,8 @@ impl Stud {
         // Slots leave two thirds of the ring's circumference, and are narrower than the hole: a
         // disc with a slot across is a screw.
         let hole = narrow - 2.0 * (wall + bead);
-        let most = (narrow * std::f64::consts::PI / (3.0 * f64::from(slots))).min(0.65 * hole);
-        let most = most.clamp(0.45, 1.3);
+        let most = (narrow * std::f64::consts::PI / (3.0 * f64::from(slots))).min(0.5 * hole);
+        let most = most.clamp(0.35, 1.3);
         Self {
             diameter,
             oval,
@@ -291,7 +291,7 @@ impl Stud {
             wall,
             lead_in: rng.random_range(20f64..50.0).to_radians(),
             slots,
-            slot_width: rng.random_range(0.4..most),
+            slot_width: rng.random_range(0.3..most),
             slot_phase: rng.random_range(0.0..std::f64::consts::TAU),
             fillet: rng.random_range(0.05..0.2),
         }
@@ -359,8 +359,8 @@ impl Snap {
     /// logarithm in 14 to 60 mm², whatever the kind; a hook on its side is slimmer.
     pub fn sample_wide(rng: &mut Pcg64, kind: Kind, forced: &Forced) -> Self {
         let area = rng.random_range(14f64.ln()..60f64.ln()).exp();
-        let on_side = rng.random_bool(0.12);
-        let wall = rng.random_bool(0.4);
+        let on_side = rng.random_bool(0.12) && !forced.mild;
+        let wall = rng.random_bool(0.4) && !forced.mild;
         match kind {
             Kind::A => Self::Hook(Hook::sample_wide(
                 rng,
@@ -377,14 +377,22 @@ impl Snap {
     }
 
     /// Draws how deep the highest point of a wide picture's snap goes into the gel, in
-    /// millimetres. A quarter are faint, 0.3 to 0.8 mm.
-    pub fn sample_wide_depth(&self, rng: &mut Pcg64) -> f64 {
-        if rng.random_bool(0.25) {
-            return rng.random_range(0.3..0.8);
-        }
+    /// millimetres. A quarter are faint, 0.3 to 0.8 mm; the arms of most faint hooks graze the gel,
+    /// for which their barbs are made low enough.
+    pub fn sample_wide_depth(&mut self, rng: &mut Pcg64) -> f64 {
+        let faint = rng.random_bool(0.25);
+        let low = rng.random_range(0.3..0.8);
+        let grazing = rng.random_bool(0.75);
         match self {
+            Self::Hook(Hook { on_side: None, undercut, .. }) if faint => {
+                if grazing {
+                    *undercut = undercut.min(low - rng.random_range(0.05..0.15));
+                }
+                low
+            }
+            _ if faint => low,
             Self::Hook(Hook { on_side: None, undercut, .. }) => {
-                undercut + rng.random_range(0.2..0.9)
+                *undercut + rng.random_range(0.2..0.9)
             }
             _ => rng.random_range(0.5..1.5),
         }

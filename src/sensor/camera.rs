@@ -48,7 +48,7 @@ impl Camera {
         let mut shrink = 1.0;
         if self.distortion != 0.0 {
             let r2 = (dx * dx + dy * dy) * self.per_half_diagonal();
-            for _ in 0..8 {
+            for _ in 0..16 {
                 shrink = 1.0 / (1.0 + self.distortion * r2 * shrink * shrink);
             }
         }

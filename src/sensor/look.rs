@@ -27,7 +27,7 @@ use super::surface::Surface;
 #[derive(Debug, Clone, PartialEq)]
 pub enum Light {
     /// A measured sensor.
-    Measured(Shading),
+    Measured(Box<Shading>),
     /// Lamps at finite angles.
     Lamps(Lamps),
 }
@@ -89,7 +89,7 @@ impl Look {
         let exposure = rng.random_range(0.85f32..1.15);
         Self {
             camera,
-            light: Light::Measured(shading),
+            light: Light::Measured(Box::new(shading)),
             coating,
             exposure,
             shadows: None,
@@ -107,7 +107,8 @@ impl Look {
         let contrast = conditions.strength * TYPICAL_CONTRAST;
         let light = match conditions.optics {
             Optics::Measured => {
-                Light::Measured(Shading::sample_wide(rng, conditions.colour, contrast))
+                let shading = Shading::sample_wide(rng, conditions.colour, contrast);
+                Light::Measured(Box::new(shading))
             }
             Optics::Lamps => {
                 let mut lamps = Lamps::sample(rng, frame.longer_mm(), conditions.colour.max(0.0));
@@ -123,7 +124,7 @@ impl Look {
                 .to_vec(),
         };
         let soft_mm = rng.random_range(0.05..0.6);
-        let shadows = (conditions.shadows > 0.0).then(|| Shadows {
+        let shadows = (conditions.shadows > 0.0).then_some(Shadows {
             depth: conditions.shadows as f32,
             soft_mm,
             rays,

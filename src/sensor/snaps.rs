@@ -283,7 +283,7 @@ impl Stud {
         // disc with a slot across is a screw.
         let hole = narrow - 2.0 * (wall + bead);
         let most = (narrow * std::f64::consts::PI / (3.0 * f64::from(slots))).min(0.5 * hole);
-        let most = most.clamp(0.35, 1.3);
+        let most = most.clamp(0.45, 1.3);
         Self {
             diameter,
             oval,
@@ -291,7 +291,7 @@ impl Stud {
             wall,
             lead_in: rng.random_range(20f64..50.0).to_radians(),
             slots,
-            slot_width: rng.random_range(0.3..most),
+            slot_width: rng.random_range(0.4..most),
             slot_phase: rng.random_range(0.0..std::f64::consts::TAU),
             fillet: rng.random_range(0.05..0.2),
         }

@@ -165,11 +165,16 @@ impl Coating {
         self.mottle
     }
 
-    /// Colours the light: 0 or less leaves it grey, 1 gives each channel its own.
+    /// Colours the flat gel: 0 or less leaves it grey. Most sensors whose channels have lights of
+    /// their own are built so that flat gel is nearly grey all the same.
     pub fn set_colour(&mut self, rng: &mut Pcg64, colour: f64) {
         let grey = self.levels.iter().sum::<f64>() / 3.0;
         let colour = colour.max(0.0);
-        let tint = if rng.random_bool(0.5) { 0.5 } else { 0.95 };
+        let tint = match rng.random_range(0..10) {
+            0..5 => 0.15,
+            5..8 => 0.5,
+            _ => 0.95,
+        };
         self.levels = [(); 3].map(|()| grey * (1.0 + colour * tint * rng.random_range(-1.0..1.0)));
     }
 

@@ -165,8 +165,10 @@ impl Conditions {
         let colour = match rng.random_range(0.0..1.0) {
             _ if is(Strong::Colour) => rng.random_range(0.5..1.0),
             u if u < 0.2 => -1.0,
-            u if u < 0.6 => rng.random_range(0.0..0.12),
-            _ => rng.random_range(0.12..0.6),
+            u if u < 0.45 => rng.random_range(0.0..0.12),
+            u if u < 0.65 => rng.random_range(0.12..0.6),
+            // Three coloured lights, as on most sensors that can be bought.
+            _ => rng.random_range(0.6..1.0),
         };
         let exposure = match is(Strong::Exposure) {
             true if rng.random_bool(0.6) => rng.random_range(1.4..2.5),

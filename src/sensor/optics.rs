@@ -138,7 +138,9 @@ impl Shading {
         let sensor = &sensors[rng.random_range(0..sensors.len())];
         let lights = sensor.lights.len();
         // Exponent 0 lights all equally, a large one singles out few.
-        let exponent = rng.random_range(0.3..5.0);
+        let drawn = rng.random_range(0.3..5.0f64);
+        // Channels that see lights of their own must see few each, or all see the same.
+        let exponent = colour.map_or(drawn, |colour| drawn.max(4.0 * colour));
         let weights = |rng: &mut Pcg64| -> Vec<f64> {
             let raw: Vec<f64> =
                 (0..lights).map(|_| rng.random_range(0.05f64..1.0).powf(exponent)).collect();

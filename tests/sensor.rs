@@ -1111,6 +1111,11 @@ fn conditions_are_forced_by_name() {
         // The rest is mild.
         assert!(c.strength < 1.5 && c.shadows == 0.0 && c.jpeg.is_none() && !c.housing);
     }
+    // What is forced is told as it is asked for.
+    assert_eq!(forced.to_string().parse::<Forced>(), Ok(forced));
+    let flags: Forced = "shadows,optics=lamps,cut=no,side".parse().expect("conditions");
+    assert_eq!(flags.to_string(), "cut=no,optics=lamps,shadows=0.6..1.0,side=yes");
+    assert_eq!(Forced::default().to_string(), "");
     for (text, wanted) in [
         ("marker=2", "one of scale"),
         ("markers", "markers=X"),

@@ -40,7 +40,7 @@ enum Command {
     Op(op::Args),
     Check(check::Args),
     Compare(compare::Args),
-    Simulate(simulate::Args),
+    Simulate(Box<simulate::Args>),
     Calibrate(calibrate::Args),
 }
 
@@ -53,7 +53,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Op(args) => op::run(args),
         Command::Check(args) => check::run(args),
         Command::Compare(args) => compare::run(args),
-        Command::Simulate(args) => simulate::run(args),
+        Command::Simulate(args) => simulate::run(*args),
         Command::Calibrate(args) => calibrate::run(args),
     };
     let exit = result.unwrap_or_else(|Failure { exit, message }| {

@@ -3,12 +3,14 @@
 //! Each picture draws a few conditions strongly and the rest mildly, so that conditions meet in
 //! every combination. What was drawn stands in the picture's label; [`Forced`] sets single ones.
 
+use std::fmt;
 use std::str::FromStr;
 
 use rand::RngExt;
 use rand::seq::IndexedRandom;
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::frame::{FIELD_MM, Frame};
 use super::label::PixelBox;
@@ -534,5 +536,31 @@ impl FromStr for Forced {
             forced.set(item)?;
         }
         Ok(forced)
+    }
+}
+
+impl fmt::Display for Forced {
+    /// Writes the conditions as they are read.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let fields = serde_json::to_value(self).map_err(|_| fmt::Error)?;
+        let mut separator = "";
+        for (key, value) in fields.as_object().into_iter().flatten() {
+            let value = match value {
+                Value::Null => continue,
+                Value::Bool(false) if key == "mild" => continue,
+                Value::Bool(flag) => (if *flag { "yes" } else { "no" }).to_owned(),
+                Value::String(name) => name.clone(),
+                fields => match (fields.get("low"), fields.get("high")) {
+                    (Some(low), Some(high)) => format!("{low}..{high}"),
+                    _ => {
+                        let frame = self.frame.unwrap_or(Frame::PAPER);
+                        format!("{}x{}@{}", frame.width, frame.height, frame.mm_per_pixel)
+                    }
+                },
+            };
+            write!(f, "{separator}{key}={value}")?;
+            separator = ",";
+        }
+        Ok(())
     }
 }

@@ -196,7 +196,7 @@ fn show(origin: &Origin) -> String {
         text += &format!(", part {part:?}").to_lowercase();
     }
     if origin.forced != Forced::default() {
-        text += ", forced conditions";
+        text += &format!(", forced {}", origin.forced);
     }
     text
 }

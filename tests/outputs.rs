@@ -14,6 +14,7 @@ use image::{Rgb, RgbImage};
 use safetensors::tensor::Dtype;
 use smr_gpu::sensor::Error;
 use smr_gpu::sensor::dataset::{Settings, simulate};
+use smr_gpu::sensor::render::Request;
 use smr_gpu::sensor::scene::Mix;
 
 #[path = "support/program.rs"]
@@ -236,7 +237,12 @@ fn an_earlier_run_s_pictures_count_if_they_are_whole() {
 #[test]
 fn one_run_at_a_time_writes_a_data_set() {
     let folder = folder();
-    let settings = Settings { out: folder.path().into(), count: 1, seed: 1, mix: Mix::None };
+    let settings = Settings {
+        out: folder.path().into(),
+        count: 1,
+        seed: 1,
+        request: Request::plain(Mix::None),
+    };
     let second = Mutex::new(None);
     simulate(&settings, &|_| {
         second.lock().expect("no panic").get_or_insert_with(|| simulate(&settings, &|_| ()));

@@ -11,7 +11,7 @@ use smr_gpu::gpu::{Gpu, GpuOptions, Plan, PlanOptions};
 use smr_gpu::model::{ModelConfig, Network, Thresholds, Variant, Weights};
 use smr_gpu::ops::Crop;
 use smr_gpu::sensor::dataset;
-use smr_gpu::sensor::render::Renderer;
+use smr_gpu::sensor::render::{Renderer, Request};
 use smr_gpu::sensor::scene::Mix;
 use smr_gpu::tensor::{Tensor, Value};
 use smr_gpu::{Config, Device, Error, GpuDetector};
@@ -114,7 +114,7 @@ fn gpu_matches_the_f64_network_on_a_sample() {
 #[test]
 fn a_choice_by_rounding_is_no_failure() {
     let scene = dataset::scene_seed(2004, 5);
-    let rendered = Renderer::new().render(scene, Mix::None).expect("a picture");
+    let rendered = Renderer::new().render(scene, &Request::plain(Mix::None)).expect("a picture");
     let picture = DynamicImage::from(rendered.picture);
     let comparison = detector(Device::default(), |_| ()).compare(&picture).expect("a comparison");
     println!("{:?}", comparison.excused().collect::<Vec<_>>());

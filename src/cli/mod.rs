@@ -44,7 +44,7 @@ enum Command {
     Op(op::Args),
     Check(check::Args),
     Compare(compare::Args),
-    Simulate(simulate::Args),
+    Simulate(Box<simulate::Args>),
     Calibrate(calibrate::Args),
 }
 
@@ -83,7 +83,7 @@ fn parse_and_run() -> Result<Exit, Failure> {
         Command::Op(args) => op::run(args),
         Command::Check(args) => check::run(args),
         Command::Compare(args) => compare::run(args),
-        Command::Simulate(args) => simulate::run(args),
+        Command::Simulate(args) => simulate::run(*args),
         Command::Calibrate(args) => calibrate::run(args),
     }
 }

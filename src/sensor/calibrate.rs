@@ -15,7 +15,7 @@ use super::optics::{
     Channel, Fit, MeasuredSensor, NORMAL_TERMS, POSITION_TERMS, Shading, TERMS, normal_terms,
     position_terms,
 };
-use super::render::Surface;
+use super::surface::Surface;
 
 /// Radius of the ball in millimetres.
 const BALL_MM: f64 = 2.0;

@@ -8,7 +8,7 @@
 //!
 //! Each scene's seed is a hash of the data set's seed and
 //! the picture's number, so data sets of different seeds share no scene: splits are kept apart by
-//! giving each its own seed. A picture depends on its scene's seed and the kinds asked for alone,
+//! giving each its own seed. A picture depends on its scene's seed and the request alone,
 //! not on threads, order or the number of pictures. Another kind of processor may round a
 //! transform otherwise and change single levels.
 
@@ -27,10 +27,13 @@ use rayon::prelude::*;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::render::{Label, Rendered, Renderer};
+use super::Error;
+use super::conditions::{Conditions, Distribution, Forced};
+use super::distractors::Part;
+use super::frame::Frame;
+use super::render::{Label, Rendered, Renderer, Request};
 use super::scene::Mix;
 use super::snaps::Kind;
-use super::{Error, PICTURE_PX};
 use crate::files;
 
 /// Least number of pictures that a worker takes, to make its plans and buffers rarely.
@@ -49,8 +52,8 @@ pub struct Settings {
     pub count: usize,
     /// Seed of the data set.
     pub seed: u64,
-    /// Which snaps the pictures show.
-    pub mix: Mix,
+    /// What the pictures show, and under which conditions.
+    pub request: Request,
 }
 
 /// What [`simulate`] did.
@@ -85,19 +88,46 @@ pub enum Step {
 }
 
 /// What a folder was made with; another call must ask for the same.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Origin {
     seed: u64,
     kind: Mix,
     simulator: u32,
+    #[serde(default)]
+    conditions: Distribution,
+    #[serde(default)]
+    part: Option<Part>,
+    #[serde(default)]
+    forced: Forced,
+}
+
+impl Origin {
+    fn of(settings: &Settings) -> Self {
+        let Request { mix, conditions, part, forced } = &settings.request;
+        Self {
+            seed: settings.seed,
+            kind: *mix,
+            simulator: simulator(*conditions),
+            conditions: *conditions,
+            part: *part,
+            forced: forced.clone(),
+        }
+    }
 }
 
 /// Raised when the same seed would give another picture.
-const SIMULATOR: u32 = 2;
+fn simulator(conditions: Distribution) -> u32 {
+    match conditions {
+        Distribution::Plain => 2,
+        Distribution::Wide => 3,
+    }
+}
 
 #[derive(Serialize, Deserialize)]
 struct Sidecar {
     scene_seed: u64,
+    frame: Frame,
+    conditions: Conditions,
     /// Size of the picture's file.
     picture_bytes: u64,
     snaps: Vec<Label>,
@@ -126,7 +156,7 @@ pub fn scene_seed(seed: u64, index: u64) -> u64 {
 /// written before all that is there has been checked.
 ///
 /// # Errors
-/// [`Error::OtherDataset`] if the folder was made with another seed or kind, or by something else;
+/// [`Error::OtherDataset`] if the folder was made with another seed or request, or by something else;
 /// [`Error::Busy`] while another run writes to it; [`Error::Io`], [`Error::Image`],
 /// [`Error::Content`] or [`Error::Write`] for files; [`Error::NoScene`] from the renderer.
 pub fn simulate(
@@ -157,11 +187,13 @@ pub fn simulate(
     let missing = (0..all).into_par_iter().with_min_len(CHUNK).filter(|i| !whole.contains(i));
     missing.try_for_each_init(Renderer::new, |renderer, i| {
         let scene_seed = scene_seed(settings.seed, i as u64);
-        let Rendered { picture, labels: snaps } = renderer.render(scene_seed, settings.mix)?;
+        let Rendered { picture, frame, conditions, labels: snaps } =
+            renderer.render(scene_seed, &settings.request)?;
         let image = image_path(&images, i);
         let png = encode(&image, &picture)?;
         files::write(&image, &png)?;
-        let sidecar = Sidecar { scene_seed, picture_bytes: png.len() as u64, snaps };
+        let picture_bytes = png.len() as u64;
+        let sidecar = Sidecar { scene_seed, frame, conditions, picture_bytes, snaps };
         write_json(&label_path(&labels, i), &sidecar)?;
         let done = 1 + done.fetch_add(1, Ordering::Relaxed);
         progress(Progress { step: Step::Render, done, all });
@@ -221,12 +253,6 @@ fn lock(folder: &Path) -> Result<File, Error> {
     // In place: a lock is on the file, not on its name.
     file.set_len(0).and_then(|()| writeln!(file, "{}", std::process::id())).map_err(io)?;
     Ok(file)
-}
-
-impl Origin {
-    fn of(settings: &Settings) -> Self {
-        Self { seed: settings.seed, kind: settings.mix, simulator: SIMULATOR }
-    }
 }
 
 /// Whether the folder holds a data set of these settings; if not, nothing there may have a name
@@ -335,7 +361,17 @@ fn show(origin: &Origin) -> String {
         Mix::Mixed => "mixed",
         Mix::None => "none",
     };
-    format!("seed {}, kind {kind}, simulator {}", origin.seed, origin.simulator)
+    let mut text = format!("seed {}, kind {kind}, simulator {}", origin.seed, origin.simulator);
+    if origin.conditions == Distribution::Wide {
+        text += ", wide conditions";
+    }
+    if let Some(part) = origin.part {
+        text += &format!(", part {part:?}").to_lowercase();
+    }
+    if origin.forced != Forced::default() {
+        text += &format!(", forced {}", origin.forced);
+    }
+    text
 }
 
 fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
@@ -376,9 +412,8 @@ struct Coco {
 #[derive(Serialize)]
 struct CocoInfo {
     description: &'static str,
-    seed: u64,
-    kind: Mix,
-    simulator: u32,
+    #[serde(flatten)]
+    origin: Origin,
 }
 
 #[derive(Serialize)]
@@ -396,6 +431,8 @@ struct CocoImage {
     height: usize,
     /// As text: 64 bits do not fit a JSON number everywhere.
     scene_seed: String,
+    mm_per_pixel: f64,
+    conditions: Conditions,
 }
 
 #[derive(Serialize)]
@@ -409,10 +446,17 @@ struct CocoAnnotation {
     area: f64,
     iscrowd: u32,
     kind: &'static str,
-    yaw_deg: f64,
+    /// Direction in which A's barbed tip points; none for B.
+    yaw_deg: Option<f64>,
     depth_mm: f64,
     center_mm: [f64; 2],
     contact_area_px: f64,
+    whole: bool,
+    visible: f64,
+    slots: Option<u32>,
+    hole_mm: Option<f64>,
+    wall: bool,
+    on_side: bool,
 }
 
 /// Rounds to a thousandth, which is less than the labels' error.
@@ -424,9 +468,7 @@ fn write_annotations(settings: &Settings, labels: &Path) -> Result<usize, Error>
     let mut coco = Coco {
         info: CocoInfo {
             description: "simulated tactile pictures of snap joints",
-            seed: settings.seed,
-            kind: settings.mix,
-            simulator: SIMULATOR,
+            origin: Origin::of(settings),
         },
         categories: [Kind::A, Kind::B].map(|kind| CocoCategory {
             id: kind.category_id(),
@@ -441,9 +483,11 @@ fn write_annotations(settings: &Settings, labels: &Path) -> Result<usize, Error>
         coco.images.push(CocoImage {
             id,
             file_name: format!("{id:06}.png"),
-            width: PICTURE_PX,
-            height: PICTURE_PX,
+            width: sidecar.frame.width,
+            height: sidecar.frame.height,
             scene_seed: sidecar.scene_seed.to_string(),
+            mm_per_pixel: sidecar.frame.mm_per_pixel,
+            conditions: sidecar.conditions,
         });
         for snap in sidecar.snaps {
             let [x0, y0, x1, y1] = snap.pixel_box;
@@ -455,10 +499,16 @@ fn write_annotations(settings: &Settings, labels: &Path) -> Result<usize, Error>
                 area: rounded((x1 - x0) * (y1 - y0)),
                 iscrowd: 0,
                 kind: snap.kind.name(),
-                yaw_deg: rounded(snap.yaw_deg),
+                yaw_deg: snap.yaw_deg.map(rounded),
                 depth_mm: rounded(snap.depth_mm),
                 center_mm: snap.center_mm.map(rounded),
                 contact_area_px: rounded(snap.area_px),
+                whole: snap.whole,
+                visible: rounded(snap.visible),
+                slots: snap.slots,
+                hole_mm: snap.hole_mm.map(rounded),
+                wall: snap.wall,
+                on_side: snap.on_side,
             });
         }
     }

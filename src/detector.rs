@@ -1,13 +1,12 @@
 //! [`GpuDetector`]: a picture in, snaps out.
 
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use image::DynamicImage;
 
-use crate::comparison::{StageComparison, stage_errors};
+use crate::comparison::{self, ChoiceComparison, Shift, StageComparison, Values};
 use crate::error::{Error, Result};
 use crate::gpu::{AdapterChoice, Gpu, GpuOptions, Plan, PlanOptions, StageTime, TensorId};
 use crate::model::{ModelConfig, Network, Thresholds, Weights};
@@ -38,11 +37,18 @@ impl Default for Device {
 }
 
 impl std::str::FromStr for Device {
-    type Err = std::convert::Infallible;
+    type Err = Error;
 
     /// `auto`, `cpu`, an adapter's index, or part of its name.
-    fn from_str(text: &str) -> std::result::Result<Self, Self::Err> {
-        Ok(match text {
+    ///
+    /// # Errors
+    /// [`Error::Param`] for a blank, which is part of every name.
+    fn from_str(text: &str) -> Result<Self> {
+        Ok(match text.trim() {
+            "" => {
+                let expected = "`auto`, `cpu`, an adapter's index or part of its name";
+                return Err(Error::param("detect", "device", expected, format!("`{text}`")));
+            }
             "auto" => Self::default(),
             "cpu" => Self::Cpu,
             other => Self::Gpu(match other.parse() {
@@ -171,6 +177,14 @@ pub struct Detections {
 pub struct Comparison {
     /// The network's stages, in order.
     pub stages: Vec<StageComparison>,
+    /// The choice of the proposals.
+    pub proposals: ChoiceComparison,
+    /// The choice of the detections.
+    pub detections: ChoiceComparison,
+    /// How far apart the detections are that both found.
+    pub shift: Shift,
+    /// [`Shift::pixels`] in millimetres on the gel.
+    pub shift_mm: f64,
     /// What the device found.
     pub found: Detections,
     /// What the reference found.
@@ -178,18 +192,32 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// The largest difference of two scores, and of two box corners in pixels of the picture;
-    /// `None` unless both found the same classes in the same order.
-    pub fn differences(&self) -> Option<(f32, f32)> {
-        let (found, expected) = (&self.found.detections, &self.expected.detections);
-        let pairs = || found.iter().zip(expected);
-        if found.len() != expected.len() || pairs().any(|(a, b)| a.class != b.class) {
-            return None;
-        }
-        let corners = pairs().flat_map(|(a, b)| a.bbox.into_iter().zip(b.bbox));
-        let largest = |d: f32, (a, b): (f32, f32)| d.max((a - b).abs());
-        let scores = pairs().map(|(a, b)| (a.score, b.score));
-        Some((scores.fold(0.0, largest), corners.fold(0.0, largest)))
+    /// What is wrong, a line each; empty if the device does as the reference.
+    pub fn failures(&self) -> impl Iterator<Item = &str> {
+        let tensors = self.stages.iter().flat_map(|s| &s.tensors);
+        let tensors = tensors.filter_map(|t| t.failure.as_ref());
+        let choices = self.proposals.failures.iter().chain(&self.detections.failures);
+        tensors.chain(choices).map(String::as_str)
+    }
+
+    /// Differences that rounding excuses, a line each.
+    pub fn excused(&self) -> impl Iterator<Item = &str> {
+        self.proposals.excused.iter().chain(&self.detections.excused).map(String::as_str)
+    }
+
+    /// The largest error of an element on its operation's own inputs, as a share of its bound.
+    pub fn share(&self) -> f64 {
+        self.stages.iter().map(StageComparison::share).fold(0.0, f64::max)
+    }
+
+    /// The largest bias of a tensor as a share of its bound.
+    pub fn bias(&self) -> f64 {
+        self.stages.iter().filter_map(StageComparison::bias).fold(0.0, f64::max)
+    }
+
+    /// The largest drift of a stage.
+    pub fn drift(&self) -> f64 {
+        self.stages.iter().filter_map(StageComparison::drift).fold(0.0, f64::max)
     }
 }
 
@@ -235,6 +263,20 @@ impl GpuDetector {
     /// # Errors
     /// As [`GpuDetector::new`].
     pub async fn new_async(config: Config) -> Result<Self> {
+        Self::build(config, None).await
+    }
+
+    /// [`GpuDetector::new_async`] on a device that is open already; `device`, `timeout` and
+    /// `checked` of the configuration do not count.
+    ///
+    /// # Errors
+    /// As [`GpuDetector::new`].
+    pub async fn on_device(gpu: Arc<Gpu>, mut config: Config) -> Result<Self> {
+        config.device = Device::default();
+        Self::build(config, Some(gpu)).await
+    }
+
+    async fn build(config: Config, gpu: Option<Arc<Gpu>>) -> Result<Self> {
         let weights = match &config.weights {
             WeightSource::File(path) => Weights::open(path)?,
             WeightSource::Bytes(name, bytes) => Weights::from_bytes(name, bytes)?,
@@ -254,7 +296,10 @@ impl GpuDetector {
                     timeout: config.timeout,
                     checked: config.checked,
                 };
-                let gpu = Gpu::open(options).await?;
+                let gpu = match gpu {
+                    Some(gpu) => gpu,
+                    None => Gpu::open(options).await?,
+                };
                 let adapter = format!("{} ({})", gpu.info().name, gpu.info().backend);
                 let plan = Box::new(plan(&gpu, &network, &config).await?);
                 (Runner::Gpu { gpu, plan }, adapter)
@@ -302,8 +347,8 @@ impl GpuDetector {
         Ok((detections, graph.computed().into_iter().filter_map(named).collect()))
     }
 
-    /// Looks at a picture on the device and with the f64 reference, and compares every stage. Needs
-    /// `Config::keep_stages`.
+    /// Looks at a picture on the device and with the f64 reference, and compares every operation and
+    /// what comes out: see [`crate::comparison`]. Needs `Config::keep_stages`.
     ///
     /// # Errors
     /// As [`GpuDetector::detect`]; [`Error::Param`] without `keep_stages` or a GPU.
@@ -314,24 +359,33 @@ impl GpuDetector {
         self.check_keeps_stages()?;
         let frame = Frame::new(picture)?;
         let mut engine = self.engine.lock().unwrap_or_else(PoisonError::into_inner);
-        let (got, found) = self.look(&mut engine, &frame)?;
-        let Engine { network, .. } = &*engine;
+        let (got, times) = self.run(&mut engine, &frame)?;
+        let network = &engine.network;
+        let found = frame.detections(network, &got, times)?;
         let frame = Frame { start: Instant::now(), ..frame };
-        let keep = network.graph.computed();
         let inputs = frame.inputs(network);
-        let (mut want, times) = network.graph.reference(&inputs, &keep)?;
-        network.graph.truncate(&inputs, &mut want);
+        let (want, times) = network.graph.reference(&inputs, &network.graph.computed())?;
         let expected = frame.detections(network, &want, times)?;
-        let errors = stage_errors(network, &got, &want)?;
+        let scale = f64::from(frame.scale(network));
+        let outcome = comparison::compare(network, &inputs, &got, &want, scale)?;
         let time = |stage: &str| found.stages.iter().find(|t| t.stage == stage).map(|t| t.time);
-        let stages = expected.stages.iter().zip(errors);
+        let stages = expected.stages.iter().zip(outcome.stages);
         let stages = stages.map(|(reference, tensors)| StageComparison {
             stage: reference.stage.clone(),
             time: time(&reference.stage),
             reference_time: reference.time,
             tensors,
         });
-        Ok(Comparison { stages: stages.collect(), found, expected })
+        let mm_per_pixel = f64::from(network.config.mm_per_pixel_of(frame.crop.side as u32));
+        Ok(Comparison {
+            stages: stages.collect(),
+            proposals: outcome.proposals,
+            detections: outcome.detections,
+            shift: outcome.shift,
+            shift_mm: outcome.shift.pixels * mm_per_pixel,
+            found,
+            expected,
+        })
     }
 
     fn check_keeps_stages(&self) -> Result<()> {
@@ -341,25 +395,34 @@ impl GpuDetector {
         }
     }
 
-    /// Runs the network. The values are the outputs, or with `keep_stages` those of every stage, cut
+    /// Looks at a picture. The values are the outputs, or with `keep_stages` those of every stage, cut
     /// to their valid rows.
     fn look(&self, engine: &mut Engine, frame: &Frame) -> Result<(Values, Detections)> {
-        self.make_room(engine, frame.width as usize * frame.height as usize)?;
-        let Engine { network, runner, .. } = engine;
-        let keep = if self.config.keep_stages { network.graph.computed() } else { vec![] };
-        let inputs = frame.inputs(network);
-        let (mut values, times) = match runner {
-            Runner::Cpu => network.graph.reference(&inputs, &keep)?,
-            Runner::Gpu { plan, .. } => {
-                let run = plan.run(&inputs)?;
-                (run.values, run.stages)
-            }
-        };
+        let (mut values, times) = self.run(engine, frame)?;
+        let network = &engine.network;
         if self.config.keep_stages {
-            network.graph.truncate(&inputs, &mut values);
+            network.graph.truncate(&frame.inputs(network), &mut values);
         }
         let detections = frame.detections(network, &values, times)?;
         Ok((values, detections))
+    }
+
+    /// Runs the network. The values are the outputs, or with `keep_stages` those of every stage, as
+    /// they came.
+    fn run(&self, engine: &mut Engine, frame: &Frame) -> Result<(Values, Vec<StageTime>)> {
+        self.make_room(engine, frame.width as usize * frame.height as usize)?;
+        let Engine { network, runner, .. } = engine;
+        let inputs = frame.inputs(network);
+        match runner {
+            Runner::Cpu => {
+                let keep = if self.config.keep_stages { network.graph.computed() } else { vec![] };
+                network.graph.reference(&inputs, &keep)
+            }
+            Runner::Gpu { plan, .. } => {
+                let run = plan.run(&inputs)?;
+                Ok((run.values, run.stages))
+            }
+        }
     }
 
     /// Rebuilds the plan for pictures of at least `pixels` pixels: for twice as many as it had, so
@@ -385,9 +448,6 @@ async fn plan(gpu: &Arc<Gpu>, network: &Network, config: &Config) -> Result<Plan
     let recording = network.graph.record(&keep)?;
     Plan::new(gpu, &recording, PlanOptions::default()).await
 }
-
-/// The values of a run.
-type Values = HashMap<TensorId, Value>;
 
 /// A picture as the network takes it, and where its square lies.
 struct Frame {
@@ -421,6 +481,11 @@ impl Frame {
         [(network.picture, &self.pixels), (network.crop, &self.square)]
     }
 
+    /// Pixels of the picture for one of the network's input.
+    fn scale(&self, network: &Network) -> f32 {
+        self.crop.side as f32 / network.config.input_size as f32
+    }
+
     /// What the network's outputs say of the picture.
     fn detections(
         &self,
@@ -445,7 +510,7 @@ impl Frame {
         let classes = value(network, values, network.classes)?.u32()?;
         let count = count_of(network, values, network.count)? as usize;
         let config = &network.config;
-        let scale = self.crop.side as f32 / config.input_size as f32;
+        let scale = self.scale(network);
         let origin = [self.crop.x as f32, self.crop.y as f32];
         let middle = [self.width as f32 / 2.0, self.height as f32 / 2.0];
         let mm_per_pixel = config.mm_per_pixel_of(self.crop.side as u32);

@@ -41,6 +41,23 @@ pub(crate) enum Source {
     Computed,
 }
 
+/// What one operation read and wrote in a run.
+#[derive(Debug)]
+pub struct Step<'a> {
+    /// The operation.
+    pub op: &'a dyn Op,
+    /// The place of its stage in [`Graph::stages`].
+    pub stage: usize,
+    /// The tensors that it read.
+    pub inputs: &'a [TensorId],
+    /// Their values.
+    pub read: Vec<&'a Value>,
+    /// The tensors that it wrote.
+    pub outputs: &'a [TensorId],
+    /// Their values.
+    pub wrote: Vec<&'a Value>,
+}
+
 /// Operations over tensors, in an order in which each reads only what came before.
 #[derive(Debug, Default)]
 pub struct Graph {
@@ -190,6 +207,17 @@ impl Graph {
         inputs: &[(TensorId, &Value)],
         keep: &[TensorId],
     ) -> Result<(HashMap<TensorId, Value>, Vec<StageTime>)> {
+        self.reference_with(inputs, keep, |_, _| ())
+    }
+
+    /// [`Graph::reference`], in which `alter` may change what was computed before it is read: so tests
+    /// plant faults.
+    pub(crate) fn reference_with(
+        &self,
+        inputs: &[(TensorId, &Value)],
+        keep: &[TensorId],
+        mut alter: impl FnMut(TensorId, &mut Value),
+    ) -> Result<(HashMap<TensorId, Value>, Vec<StageTime>)> {
         for (index, tensor) in self.tensors.iter().enumerate() {
             let Source::Input(extent) = tensor.source else { continue };
             let given = inputs.iter().find(|(id, _)| id.0 == index).map(|(_, v)| v.spec());
@@ -217,7 +245,8 @@ impl Graph {
                 })?);
             }
             let produced = node.op.reference(&read)?;
-            for (id, value) in node.outputs.iter().zip(produced) {
+            for (id, mut value) in node.outputs.iter().zip(produced) {
+                alter(*id, &mut value);
                 values.insert(*id, value);
             }
             for id in &node.inputs {
@@ -243,6 +272,33 @@ impl Graph {
             Source::Input(_) => inputs.iter().find(|(i, _)| *i == id).map(|(_, v)| *v),
             Source::Computed => computed.get(&id),
         }
+    }
+
+    /// Goes through a run that took `inputs` and computed `values`, operation by operation. The values
+    /// have the graph's shapes: not cut by [`Graph::truncate`].
+    ///
+    /// # Errors
+    /// [`Error::Tensor`] for a step of which a tensor is missing.
+    pub fn steps<'a>(
+        &'a self,
+        inputs: &'a [(TensorId, &'a Value)],
+        values: &'a HashMap<TensorId, Value>,
+    ) -> impl Iterator<Item = Result<Step<'a>>> {
+        self.nodes.iter().map(move |node| {
+            let value = |id: &TensorId| {
+                self.value(*id, inputs, values).ok_or_else(|| {
+                    Error::tensor(node.op.name(), self.name(*id), "a value", "nothing")
+                })
+            };
+            Ok(Step {
+                op: node.op.as_ref(),
+                stage: node.stage,
+                inputs: &node.inputs,
+                read: node.inputs.iter().map(value).collect::<Result<_>>()?,
+                outputs: &node.outputs,
+                wrote: node.outputs.iter().map(value).collect::<Result<_>>()?,
+            })
+        })
     }
 
     /// Cuts the `values` of a run to the rows that counts of that run made valid. A tensor stays whole
@@ -279,6 +335,12 @@ impl Graph {
     /// The tensors that a run gives back.
     pub(crate) fn outputs(&self) -> &[TensorId] {
         &self.outputs
+    }
+
+    /// Each operation with the specs of what it reads, in order.
+    pub fn operations(&self) -> impl Iterator<Item = (&dyn Op, Vec<&TensorSpec>)> {
+        let specs = |n: &Node| n.inputs.iter().map(|id| self.spec(*id)).collect();
+        self.nodes.iter().map(move |n| (n.op.as_ref(), specs(n)))
     }
 
     /// The names of the stages, in order.

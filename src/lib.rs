@@ -22,15 +22,18 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`error`], [`shape`], [`tensor`] | typed errors, shapes, tensors in host memory |
+//! | [`files`] | reading files that are files, of a size looked at first; writing them whole or not at all |
 //! | [`cpu`] | the reference of each operation: from its definition, with f64 sums |
 //! | [`gpu`] | the device, shaders and their reflection, recordings, plans; alone to name wgpu |
 //! | [`ops`] | each operation: parameters, shape check, dispatches, error bound, cases |
 //! | [`graph`] | operations over named tensors, recorded for the GPU or walked on the CPU |
 //! | [`host`] | the graph in f32 on this machine's CPU, for machines without an adapter |
 //! | [`model`] | SMR-Net's stages, its configuration and its weights |
-//! | [`comparison`] | the whole network on a device, stage by stage, against the f64 reference |
+//! | [`comparison`] | the whole network on a device, by operation and by outcome, against the reference |
 //! | [`detector`] | [`GpuDetector`] |
+//! | [`picture`] | pictures from files that nobody vouches for |
 //! | [`sensor`] | the simulated sensor: gel, contact, optics, camera, snaps |
+//! | [`coco`] | labelled pictures from COCO annotations |
 //! | [`metrics`] | intersection over union, average precision, centre error |
 //!
 //! An operation is one stem in four places: `wgsl/conv2d.wgsl`, `src/ops/conv2d.rs`,
@@ -44,16 +47,19 @@
 //! does not publish.
 #![warn(missing_docs)]
 
+pub mod coco;
 pub mod comparison;
 pub mod cpu;
 pub mod detector;
 pub mod error;
+pub mod files;
 pub mod gpu;
 pub mod graph;
 pub mod host;
 pub mod metrics;
 pub mod model;
 pub mod ops;
+pub mod picture;
 pub mod sensor;
 pub mod shape;
 pub mod tensor;

@@ -2,17 +2,55 @@
 //!
 //! Boxes are corners (x1, y1, x2, y2) in any one unit.
 
+/// Area of a box; 0 if it is inside out.
+pub fn box_area(b: [f64; 4]) -> f64 {
+    (b[2] - b[0]).max(0.0) * (b[3] - b[1]).max(0.0)
+}
+
+fn intersection(a: [f64; 4], b: [f64; 4]) -> f64 {
+    box_area([a[0].max(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].min(b[3])])
+}
+
 /// Intersection over union of two boxes; 0 if either has no area.
 pub fn box_iou(a: [f64; 4], b: [f64; 4]) -> f64 {
-    let area = |r: [f64; 4]| (r[2] - r[0]).max(0.0) * (r[3] - r[1]).max(0.0);
-    let common = [a[0].max(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].min(b[3])];
-    let intersection = area(common);
-    if intersection > 0.0 { intersection / (area(a) + area(b) - intersection) } else { 0.0 }
+    let common = intersection(a, b);
+    if common > 0.0 { common / (box_area(a) + box_area(b) - common) } else { 0.0 }
 }
 
 /// Middle of a box.
 pub fn center(b: [f64; 4]) -> [f64; 2] {
     [(b[0] + b[2]) / 2.0, (b[1] + b[3]) / 2.0]
+}
+
+/// A box that is there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Truth {
+    /// Corners.
+    pub bbox: [f64; 4],
+    /// Area of what is in the box, by which [`Areas`] choose; at most the box's.
+    pub area: f64,
+    /// COCO's `iscrowd`: not one thing but a place with several. Whether one is found there counts
+    /// neither way.
+    pub crowd: bool,
+}
+
+impl Truth {
+    /// One thing that fills its box.
+    pub fn new(bbox: [f64; 4]) -> Self {
+        Self { bbox, area: box_area(bbox), crowd: false }
+    }
+
+    /// Overlap with a found box: intersection over union, of which a crowd's is the found box's own
+    /// area, as that may show any part of it.
+    pub fn overlap(&self, found: [f64; 4]) -> f64 {
+        match self.crowd {
+            false => box_iou(self.bbox, found),
+            true => {
+                let intersection = intersection(self.bbox, found);
+                if intersection > 0.0 { intersection / box_area(found) } else { 0.0 }
+            }
+        }
+    }
 }
 
 /// A found box.
@@ -24,27 +62,64 @@ pub struct ScoredBox {
     pub score: f64,
 }
 
+/// The areas that count, both ends included; the COCO evaluation's, in square pixels. Other truths
+/// are ignored as a crowd is, and so are found boxes of other areas that take no truth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Areas {
+    least: f64,
+    most: f64,
+}
+
+impl Areas {
+    /// All.
+    pub const ALL: Self = Self { least: 0.0, most: 1e10 };
+    /// Up to 32 × 32 pixels.
+    pub const SMALL: Self = Self { least: 0.0, most: 32.0 * 32.0 };
+    /// From 32 × 32 to 96 × 96 pixels.
+    pub const MEDIUM: Self = Self { least: 32.0 * 32.0, most: 96.0 * 96.0 };
+    /// From 96 × 96 pixels.
+    pub const LARGE: Self = Self { least: 96.0 * 96.0, most: 1e10 };
+
+    fn count(self, area: f64) -> bool {
+        (self.least..=self.most).contains(&area)
+    }
+}
+
+/// What a found box is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Hit {
+    /// It takes a truth.
+    Right,
+    /// It takes none.
+    Wrong,
+    /// It counts neither way.
+    Ignored,
+}
+
 /// What one picture holds of one class, and what was found of it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PictureBoxes {
     /// The boxes that are there.
-    pub truths: Vec<[f64; 4]>,
+    pub truths: Vec<Truth>,
     /// The boxes that were found, in any order.
     pub found: Vec<ScoredBox>,
 }
 
+/// The COCO evaluation looks at so many found boxes of a class in a picture.
+const MAX_FOUND: usize = 100;
+
 impl PictureBoxes {
-    /// For each truth the found box that overlaps it most, among those with a score above
-    /// `score`, and their intersection over union; `None` where none overlaps.
-    pub fn best(&self, score: f64) -> Vec<Option<(ScoredBox, f64)>> {
-        let best_of = |truth: &[f64; 4]| {
+    /// For each truth but crowds the found box that overlaps it most, among those with a score
+    /// above `score`, and their intersection over union; `None` where none overlaps.
+    pub fn best(&self, score: f64) -> Vec<(Truth, Option<(ScoredBox, f64)>)> {
+        let best_of = |truth: &Truth| {
             let shown = self.found.iter().filter(|f| f.score > score);
             shown
-                .map(|f| (*f, box_iou(*truth, f.bbox)))
+                .map(|f| (*f, box_iou(truth.bbox, f.bbox)))
                 .filter(|(_, iou)| *iou > 0.0)
                 .max_by(|a, b| a.1.total_cmp(&b.1))
         };
-        self.truths.iter().map(best_of).collect()
+        self.truths.iter().filter(|t| !t.crowd).map(|t| (*t, best_of(t))).collect()
     }
 
     /// The same with the found boxes that have a score above `score` alone.
@@ -53,44 +128,66 @@ impl PictureBoxes {
         Self { truths: self.truths.clone(), found }
     }
 
-    /// The found boxes' scores, best first, each with whether it takes a truth: as in the COCO
-    /// evaluation, each takes the free truth that it overlaps most, by at least `iou`.
-    fn hits(&self, iou: f64) -> Vec<(f64, bool)> {
+    /// Which truths are ignored.
+    fn ignored(&self, areas: Areas) -> Vec<bool> {
+        self.truths.iter().map(|t| t.crowd || !areas.count(t.area)).collect()
+    }
+
+    /// The found boxes' scores, best first, each with what it is: as in the COCO evaluation, each
+    /// takes the free truth that it overlaps most, by at least `iou`, and the last of equal ones. An
+    /// ignored truth is taken only by what can take no other, a crowd by any number.
+    fn hits(&self, iou: f64, areas: Areas) -> Vec<(f64, Hit)> {
         let mut found = self.found.clone();
         found.sort_by(|a, b| b.score.total_cmp(&a.score));
+        found.truncate(MAX_FOUND);
+        let ignored = self.ignored(areas);
         let mut free = vec![true; self.truths.len()];
         let take = |f: &ScoredBox| {
-            let overlaps = self.truths.iter().map(|t| box_iou(*t, f.bbox)).enumerate();
-            let best = overlaps
-                .filter(|(i, overlap)| free[*i] && *overlap >= iou)
-                .max_by(|a, b| a.1.total_cmp(&b.1));
-            if let Some((i, _)) = best {
+            let best_where = |ignore: bool| {
+                let fits = |i: &usize| ignored[*i] == ignore && (free[*i] || self.truths[*i].crowd);
+                let overlaps = (0..free.len()).filter(fits);
+                let overlaps = overlaps.map(|i| (i, self.truths[i].overlap(f.bbox)));
+                let best = overlaps.filter(|(_, overlap)| *overlap >= iou);
+                best.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(i, _)| i)
+            };
+            let best = best_where(false).or_else(|| best_where(true));
+            let hit = match best {
+                Some(i) if ignored[i] => Hit::Ignored,
+                Some(_) => Hit::Right,
+                None if areas.count(box_area(f.bbox)) => Hit::Wrong,
+                None => Hit::Ignored,
+            };
+            if let Some(i) = best {
                 free[i] = false;
             }
-            (f.score, best.is_some())
+            (f.score, hit)
         };
         found.iter().map(take).collect()
     }
 
     /// How many found boxes with a score above `score` take no truth at `iou`.
     pub fn false_alarms(&self, score: f64, iou: f64) -> usize {
-        self.hits(iou).iter().filter(|(s, hit)| *s > score && !hit).count()
+        let hits = self.hits(iou, Areas::ALL);
+        hits.iter().filter(|(s, hit)| *s > score && *hit == Hit::Wrong).count()
     }
 }
 
 /// Average precision of one class at one threshold of overlap, as the COCO evaluation defines it:
-/// the mean of the highest precision at or beyond each of 101 recalls. `None` without truths.
-pub fn average_precision(pictures: &[PictureBoxes], iou: f64) -> Option<f64> {
-    let truths: usize = pictures.iter().map(|p| p.truths.len()).sum();
+/// the mean of the highest precision at or beyond each of 101 recalls. Equal scores count in the
+/// order of `pictures`, which pycocotools takes in the order of their ids. `None` without truths.
+pub fn average_precision(pictures: &[PictureBoxes], iou: f64, areas: Areas) -> Option<f64> {
+    let wanted = |p: &PictureBoxes| p.ignored(areas).iter().filter(|ignored| !**ignored).count();
+    let truths: usize = pictures.iter().map(wanted).sum();
     if truths == 0 {
         return None;
     }
-    let mut hits: Vec<(f64, bool)> = pictures.iter().flat_map(|p| p.hits(iou)).collect();
+    let mut hits: Vec<(f64, Hit)> = pictures.iter().flat_map(|p| p.hits(iou, areas)).collect();
+    hits.retain(|(_, hit)| *hit != Hit::Ignored);
     hits.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut right = 0;
     let mut curve: Vec<(f64, f64)> = Vec::with_capacity(hits.len());
     for (shown, (_, hit)) in (1..).zip(&hits) {
-        right += usize::from(*hit);
+        right += usize::from(*hit == Hit::Right);
         curve.push((right as f64 / truths as f64, right as f64 / f64::from(shown)));
     }
     for i in (1..curve.len()).rev() {
@@ -104,10 +201,17 @@ pub fn average_precision(pictures: &[PictureBoxes], iou: f64) -> Option<f64> {
     Some((0..=100).map(|i| precision_at(f64::from(i) * 0.01)).sum::<f64>() / 101.0)
 }
 
-/// The mean of [`average_precision`] over the overlaps 0.50, 0.55, … 0.95. `None` without truths.
-pub fn average_precision_50_95(pictures: &[PictureBoxes]) -> Option<f64> {
-    let at = |i: i32| average_precision(pictures, 0.5 + 0.05 * f64::from(i));
-    let sum: Option<f64> = (0..10).map(at).sum();
+/// The overlaps 0.50, 0.55, … 0.95, as numpy's `linspace(0.5, 0.95, 10)` rounds them: a box whose
+/// overlap is exactly 3/5 is right at the third or wrong by the last bit.
+pub fn coco_overlaps() -> [f64; 10] {
+    let step = (0.95 - 0.5) / 9.0;
+    std::array::from_fn(|i| if i == 9 { 0.95 } else { i as f64 * step + 0.5 })
+}
+
+/// The mean of [`average_precision`] over [`coco_overlaps`]. `None` without truths.
+pub fn average_precision_50_95(pictures: &[PictureBoxes], areas: Areas) -> Option<f64> {
+    let at = |iou| average_precision(pictures, iou, areas);
+    let sum: Option<f64> = coco_overlaps().into_iter().map(at).sum();
     sum.map(|s| s / 10.0)
 }
 
@@ -147,46 +251,68 @@ mod tests {
 
     #[test]
     fn best_box_ignores_low_scores_and_may_serve_two_truths() {
+        let [a, b] = [[0.0, 0.0, 2.0, 2.0], [1.0, 0.0, 3.0, 2.0]];
+        let crowd = Truth { crowd: true, ..Truth::new(a) };
         let picture = PictureBoxes {
-            truths: vec![[0.0, 0.0, 2.0, 2.0], [1.0, 0.0, 3.0, 2.0], [50.0, 50.0, 60.0, 60.0]],
+            // Nobody is asked for the crowd.
+            truths: vec![Truth::new(a), crowd, Truth::new(b), Truth::new([50.0, 50.0, 60.0, 60.0])],
             found: vec![
-                scored([0.0, 0.0, 2.0, 2.0], 0.9),
+                scored(a, 0.9),
                 // Right on the second truth, but not above the threshold.
-                scored([1.0, 0.0, 3.0, 2.0], 0.5),
+                scored(b, 0.5),
             ],
         };
-        let best: Vec<_> = picture.best(0.5).iter().map(|b| b.map(|(_, iou)| iou)).collect();
+        let best: Vec<_> = picture.best(0.5).iter().map(|(_, b)| b.map(|(_, iou)| iou)).collect();
         assert_eq!(best, [Some(1.0), Some(1.0 / 3.0), None]);
         assert_eq!(picture.false_alarms(0.5, 0.5), 0);
         assert_eq!(picture.false_alarms(0.5, 1.1), 1);
     }
 
     #[test]
+    fn what_falls_on_a_crowd_is_neither_right_nor_wrong() {
+        let snap = [0.0, 0.0, 10.0, 10.0];
+        let crowd = Truth { crowd: true, ..Truth::new([20.0, 0.0, 60.0, 40.0]) };
+        // A quarter of the first lies outside: overlap 3/4 of its own area, 75 of 1700 by union.
+        let on_crowd = [scored([20.0, 0.0, 30.0, 10.0], 0.9), scored([15.0, 0.0, 35.0, 9.0], 0.8)];
+        assert_eq!(crowd.overlap(on_crowd[1].bbox), 0.75);
+        let found = [&on_crowd[..], &[scored(snap, 0.7)]].concat();
+        let picture = PictureBoxes { truths: vec![crowd, Truth::new(snap)], found };
+        assert_eq!(picture.false_alarms(0.5, 0.5), 0);
+        // At 0.8 the second is wrong: precision 1/2 at each recall.
+        assert_eq!(picture.false_alarms(0.5, 0.8), 1);
+        let pictures = [picture];
+        assert_eq!(average_precision(&pictures, 0.5, Areas::ALL), Some(1.0));
+        assert_eq!(average_precision(&pictures, 0.8, Areas::ALL), Some(0.5));
+        // The snap is of 100 square pixels: among the large there is none.
+        assert_eq!(average_precision(&pictures, 0.5, Areas::LARGE), None);
+    }
+
+    #[test]
     fn average_precision_by_hand() {
         let a = [0.0, 0.0, 10.0, 10.0];
         let b = [20.0, 0.0, 30.0, 10.0];
+        let all = Areas::ALL;
         let nowhere = [90.0, 90.0, 99.0, 99.0];
         // Right, wrong, right: precision 1, 1/2, 2/3 at recall 1/2, 1/2, 1. So 1 at the 51 recalls
         // up to 0.50 and 2/3 at the other 50.
         let picture = PictureBoxes {
-            truths: vec![a, b],
+            truths: vec![Truth::new(a), Truth::new(b)],
             found: vec![scored(b, 0.3), scored(a, 0.9), scored(nowhere, 0.6)],
         };
-        let ap = average_precision(std::slice::from_ref(&picture), 0.5).expect("truths");
+        let ap = average_precision(std::slice::from_ref(&picture), 0.5, all).expect("truths");
         assert!((ap - (51.0 + 50.0 * 2.0 / 3.0) / 101.0).abs() < 1e-12, "{ap}");
         // The same box twice: the second is wrong.
-        let twice = PictureBoxes { truths: vec![a], found: vec![scored(a, 0.8), scored(a, 0.9)] };
+        let found = vec![scored(a, 0.8), scored(a, 0.9)];
+        let twice = PictureBoxes { truths: vec![Truth::new(a)], found };
         assert_eq!(twice.false_alarms(0.0, 0.5), 1);
-        assert_eq!(average_precision(&[twice], 0.5), Some(1.0));
+        assert_eq!(average_precision(&[twice], 0.5, all), Some(1.0));
         // A picture without truths lowers precision where its box scores higher.
         let empty = PictureBoxes { truths: vec![], found: vec![scored(a, 0.95)] };
-        let ap = average_precision(&[picture, empty.clone()], 0.5).expect("truths");
+        let ap = average_precision(&[picture, empty.clone()], 0.5, all).expect("truths");
         assert!((ap - (51.0 * 0.5 + 50.0 * 0.5) / 101.0).abs() < 1e-12, "{ap}");
-        assert_eq!(average_precision(&[empty], 0.5), None);
-        assert_eq!(
-            average_precision(&[PictureBoxes { truths: vec![a], found: vec![] }], 0.5),
-            Some(0.0)
-        );
+        assert_eq!(average_precision(&[empty], 0.5, all), None);
+        let missed = PictureBoxes { truths: vec![Truth::new(a)], found: vec![] };
+        assert_eq!(average_precision(&[missed], 0.5, all), Some(0.0));
     }
 
     /// Boxes from a linear congruential generator, which any language repeats in a line.
@@ -213,7 +339,7 @@ mod tests {
                     .collect();
                 let (x, y, score) = (next() * 80.0, next() * 80.0, next());
                 found.push(ScoredBox { bbox: [x, y, x + 15.0, y + 15.0], score });
-                PictureBoxes { truths, found }
+                PictureBoxes { truths: truths.into_iter().map(Truth::new).collect(), found }
             })
             .collect()
     }
@@ -225,8 +351,8 @@ mod tests {
         const AP50: f64 = 0.544_701_405_566_439_4;
         const AP: f64 = 0.171_149_901_681_339_17;
         let pictures = generated();
-        let ap50 = average_precision(&pictures, 0.5).expect("truths");
-        let ap = average_precision_50_95(&pictures).expect("truths");
+        let ap50 = average_precision(&pictures, 0.5, Areas::ALL).expect("truths");
+        let ap = average_precision_50_95(&pictures, Areas::ALL).expect("truths");
         assert!((ap50 - AP50).abs() < 1e-9, "{ap50}");
         assert!((ap - AP).abs() < 1e-9, "{ap}");
     }

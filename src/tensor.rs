@@ -95,6 +95,14 @@ impl Value {
         }
     }
 
+    /// Element `i`, for people.
+    pub fn show(&self, i: usize) -> String {
+        match self {
+            Self::F32(t) => t.data[i].to_string(),
+            Self::U32(t) => t.data[i].to_string(),
+        }
+    }
+
     /// The values' bytes in host order, as a storage buffer holds them.
     pub fn bytes(&self) -> &[u8] {
         match self {

@@ -121,3 +121,14 @@ fn the_detector_and_its_future_can_be_sent() {
     shared::<smr_gpu::GpuDetector>();
     drop(sendable(smr_gpu::GpuDetector::new_async(smr_gpu::Config::new("none"))));
 }
+
+#[test]
+fn a_blank_name_is_part_of_no_adapters() {
+    for blank in ["", " ", "\t\n"] {
+        let name = AdapterChoice::Name(blank.into());
+        let error = open(|options| options.adapter = name).expect_err("no adapter");
+        // It names what there is, each with its index.
+        let Error::NoAdapter { found, .. } = &error else { panic!("{error}") };
+        assert!(found.starts_with("found 0: "), "{found}");
+    }
+}

@@ -45,3 +45,25 @@ mod top_k;
 mod upsample_bilinear;
 #[path = "ops/weighted_sum.rs"]
 mod weighted_sum;
+
+/// Bounds checks may change no bit, so that what the tests find with them holds without.
+#[test]
+fn bounds_checks_change_no_bit() {
+    use smr_gpu::gpu::{Gpu, GpuOptions};
+    use smr_gpu::ops::{OPS, case::run_op};
+    let options = GpuOptions { checked: true, ..GpuOptions::default() };
+    let checked = pollster::block_on(Gpu::open(options)).expect("an adapter");
+    let mut different = Vec::new();
+    for case in OPS.iter().flat_map(|entry| (entry.cases)()) {
+        let inputs: Vec<_> = case.inputs.iter().collect();
+        let run = |gpu| run_op(gpu, case.op.as_ref(), &case.inputs).expect("a run");
+        let (with, without) = (run(&checked), run(support::gpu()));
+        let defined = case.op.defined(&without.iter().collect::<Vec<_>>(), &inputs);
+        for ((a, b), n) in with.iter().zip(&without).zip(defined) {
+            if a.bytes()[..4 * n] != b.bytes()[..4 * n] {
+                different.push(format!("{} / {}", case.op.name(), case.name));
+            }
+        }
+    }
+    assert!(different.is_empty(), "{}", different.join("\n"));
+}

@@ -7,15 +7,33 @@ use std::sync::Mutex;
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
 use smr_gpu::sensor::camera::{Camera, NormalTable};
+use smr_gpu::sensor::conditions::{Conditions, Forced, TYPICAL_CONTRAST};
 use smr_gpu::sensor::contact::{Contact, NO_BODY, Stop, solve};
-use smr_gpu::sensor::dataset::{Settings, scene_seed, simulate};
+use smr_gpu::sensor::dataset::{Progress, Settings, Step, scene_seed, simulate};
+use smr_gpu::sensor::distractors::{Distractor, Part};
+use smr_gpu::sensor::frame::{FIELD_MM, Frame};
 use smr_gpu::sensor::gel::{Elasticity, Grid, Layer};
-use smr_gpu::sensor::label::imprints;
-use smr_gpu::sensor::optics::{Fit, Shading, measured_sensors, normal_terms, position_terms};
-use smr_gpu::sensor::render::{GRID, LEAST_IMPRINT_PX, Renderer, STOP, Surface};
-use smr_gpu::sensor::scene::{Body, Mix, Scene};
+use smr_gpu::sensor::label::{imprints, visible_share};
+use smr_gpu::sensor::lamps::Lamps;
+use smr_gpu::sensor::look::Sideways;
+use smr_gpu::sensor::markers::Markers;
+use smr_gpu::sensor::optics::{
+    Fit, NORMAL_TERMS, POSITION_TERMS, Shading, TERMS, measured_sensors, normal_terms,
+    position_terms,
+};
+use smr_gpu::sensor::render::{GRID, LEAST_IMPRINT_MM, Renderer, Request, STOP, contact_grid};
+use smr_gpu::sensor::scene::{Body, Mix, Placed, Scene};
+use smr_gpu::sensor::shadow::{Ray, cast};
+use smr_gpu::sensor::smooth;
 use smr_gpu::sensor::snaps::{Kind, Snap};
-use smr_gpu::sensor::{Error, GEL_MM, MM_PER_PX, PICTURE_PX, calibrate};
+use smr_gpu::sensor::surface::Surface;
+use smr_gpu::sensor::{Error, calibrate};
+
+const PICTURE_PX: usize = Frame::PAPER.width;
+const MM_PER_PX: f64 = Frame::PAPER.mm_per_pixel;
+const GEL_MM: f64 = PICTURE_PX as f64 * MM_PER_PX;
+/// The whole of a plain picture.
+const WINDOW: [f64; 4] = [0.0, 0.0, 1000.0, 1000.0];
 
 const EXACT: Stop = Stop { tolerance_mm: 1e-5, max_iterations: 400 };
 
@@ -285,7 +303,7 @@ fn the_label_of_a_flat_punch_is_its_projected_outline() {
     let mut elasticity = Elasticity::new(&Layer::default(), GRID);
     let contact = solve(&mut elasticity, &penetration, &[], STOP);
     let camera = Camera::default();
-    let found = imprints(&Body { penetration, owner }, &contact, GRID, &camera, 1);
+    let found = imprints(&Body { penetration, owner }, &contact, GRID, &camera, WINDOW, 1);
     let imprint = found[0].expect("it touches");
     let scale = 125.0 / (125.0 - depth) / MM_PER_PX;
     let expected = [
@@ -308,7 +326,8 @@ fn labels_end_at_the_picture() {
     let owner = vec![0; GRID.len()];
     let mut elasticity = Elasticity::new(&Layer::default(), GRID);
     let contact = solve(&mut elasticity, &penetration, &[], STOP);
-    let found = imprints(&Body { penetration, owner }, &contact, GRID, &Camera::default(), 1);
+    let found =
+        imprints(&Body { penetration, owner }, &contact, GRID, &Camera::default(), WINDOW, 1);
     let [x0, _, x1, _] = found[0].expect("it touches").pixel_box;
     assert_eq!(x1, PICTURE_PX as f64);
     assert!((x0 - (500.0 + 16.0 / MM_PER_PX)).abs() < 4.5, "{x0}");
@@ -356,6 +375,31 @@ fn the_fit_finds_known_coefficients() {
 }
 
 #[test]
+fn a_fit_knows_what_its_pixels_determine() {
+    let grid = || (-4..5).flat_map(|x| (-4..5).map(move |y| [x, y].map(|v| f64::from(v) / 4.0)));
+    let all: Vec<[f64; 2]> = grid().collect();
+    let one = [[0.5, -0.25]];
+    let rank = |positions: &[[f64; 2]], slopes: &[[f64; 2]], flat: f64| {
+        let mut fit = Fit::new();
+        for [x, y] in positions {
+            for [gx, gy] in slopes {
+                fit.add(&position_terms(*x, *y), &normal_terms(*gx, *gy), flat, 100.0);
+            }
+        }
+        fit.rank()
+    };
+    assert_eq!(rank(&all, &all, 130.0), TERMS);
+    // At one position the five terms of the normal, at one slope the six of the position.
+    assert_eq!(rank(&one, &all, 130.0), NORMAL_TERMS);
+    assert_eq!(rank(&all, &one, 130.0), POSITION_TERMS);
+    // One pixel many times, nothing but flat gel, a black background, and no pixel.
+    assert_eq!(rank(&one.repeat(50), &one, 130.0), 1);
+    assert_eq!(rank(&all, &[[0.0, 0.0]], 130.0), 0);
+    assert_eq!(rank(&all, &all, 0.0), 0);
+    assert_eq!(rank(&[], &[], 130.0), 0);
+}
+
+#[test]
 fn held_out_presses_are_near_the_real_ones() {
     let report = calibrate::calibrate(&data("gelsight_ball_presses")).expect("the data is there");
     assert_eq!(report.presses, 48);
@@ -368,8 +412,10 @@ fn held_out_presses_are_near_the_real_ones() {
     assert!(report.held_out.ssim > report.background.ssim, "{:?}", report.held_out);
 
     // What the simulator uses is what the calibration gives.
-    let mut sensors = vec![report.sensor()];
-    sensors.extend(calibrate::read_sensors(&data("gelsight_flatfields")).expect("files"));
+    let mut sensors = vec![report.sensor().expect("better than the background")];
+    for file in calibrate::sensor_files(&data("gelsight_flatfields")).expect("files") {
+        sensors.push(calibrate::read_sensor(&file).expect("a sensor"));
+    }
     assert_eq!(sensors.len(), measured_sensors().len());
     for (found, used) in sensors.iter().zip(measured_sensors()) {
         assert_eq!(found.name, used.name);
@@ -400,7 +446,8 @@ fn a_broken_calibration_names_its_file() {
     let yaml = folder.path().join("x.yaml");
     std::fs::write(&yaml, "quadfit: \n    rows: 6\n    cols: 10\n    values: [1, 2]\n")
         .expect("a file");
-    let error = calibrate::read_sensors(folder.path()).expect_err("too few numbers");
+    assert_eq!(calibrate::sensor_files(folder.path()).expect("one"), [yaml.as_path()]);
+    let error = calibrate::read_sensor(&yaml).expect_err("too few numbers");
     assert!(error.to_string().contains("2 numbers"), "{error}");
 }
 
@@ -505,20 +552,22 @@ fn scenes_follow_their_rules() {
 fn every_snap_that_shows_is_labelled() {
     let mut renderer = Renderer::new();
     for seed in 0..4 {
-        let rendered = renderer.render(seed, Mix::B).expect("a picture");
+        let rendered = renderer.render(seed, &Request::plain(Mix::B)).expect("a picture");
         assert_eq!(rendered.picture.dimensions(), (PICTURE_PX as u32, PICTURE_PX as u32));
         assert!(!rendered.labels.is_empty());
         for label in &rendered.labels {
             assert_eq!(label.kind, Kind::B);
             let [x0, y0, x1, y1] = label.pixel_box;
             assert!(0.0 <= x0 && x0 < x1 && x1 <= 1000.0 && 0.0 <= y0 && y0 < y1 && y1 <= 1000.0);
-            assert!((x1 - x0).max(y1 - y0) >= LEAST_IMPRINT_PX);
+            assert!((x1 - x0).max(y1 - y0) * MM_PER_PX >= LEAST_IMPRINT_MM);
             assert!((label.center_mm[0] - ((x0 + x1) / 2.0 - 500.0) * MM_PER_PX).abs() < 1e-9);
             // A ring touches part of its box.
             let fill = label.area_px / ((x1 - x0) * (y1 - y0));
             assert!((0.02..0.95).contains(&fill), "{fill} of the box touches");
         }
-        assert!(renderer.render(seed, Mix::None).expect("a picture").labels.is_empty());
+        assert!(
+            renderer.render(seed, &Request::plain(Mix::None)).expect("a picture").labels.is_empty()
+        );
     }
 }
 
@@ -546,14 +595,20 @@ fn relative(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 #[test]
 fn data_sets_do_not_depend_on_threads_or_interruptions() {
     let (one, three) = (tempfile::tempdir().expect("one"), tempfile::tempdir().expect("three"));
-    let settings =
-        |out: &Path, count| Settings { out: out.into(), count, seed: 42, mix: Mix::Mixed };
+    let settings = |out: &Path, count| Settings {
+        out: out.into(),
+        count,
+        seed: 42,
+        request: Request::plain(Mix::Mixed),
+    };
     let run = |settings: &Settings, threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
         let seen = Mutex::new(Vec::new());
-        let progress = |done: usize, all: usize| {
-            assert_eq!(all, settings.count);
-            seen.lock().expect("no panic").push(done);
+        let progress = |Progress { step, done, all }: Progress| {
+            if step == Step::Render {
+                assert_eq!(all, settings.count);
+                seen.lock().expect("no panic").push(done);
+            }
         };
         let summary = pool.install(|| simulate(settings, &progress)).expect("a data set");
         let mut seen = seen.into_inner().expect("no panic");
@@ -569,7 +624,7 @@ fn data_sets_do_not_depend_on_threads_or_interruptions() {
     run(&settings(three.path(), 9), 3);
     std::fs::remove_file(three.path().join("images/000004.png")).expect("a picture");
     std::fs::remove_file(three.path().join("labels/000007.json")).expect("labels");
-    std::fs::write(three.path().join("images/000004.unfinished"), "torn").expect("a file");
+    std::fs::write(three.path().join("images/.smr-gpu-Qm3Xc1.unfinished"), "torn").expect("a file");
     let summary = run(&settings(three.path(), 10), 3);
     assert_eq!((summary.rendered, summary.kept), (3, 7));
     let resumed = relative(three.path());
@@ -609,7 +664,7 @@ fn data_sets_do_not_depend_on_threads_or_interruptions() {
 
     // Another seed may not continue the folder.
     let other = Settings { seed: 43, ..settings(one.path(), 2) };
-    let error = simulate(&other, &|_, _| ()).expect_err("another seed");
+    let error = simulate(&other, &|_| ()).expect_err("another seed");
     assert!(matches!(error, Error::OtherDataset { .. }), "{error}");
     assert!(error.to_string().contains("seed 42"), "{error}");
 }
@@ -621,5 +676,490 @@ fn scene_seeds_of_different_data_sets_differ() {
         for index in 0..1000 {
             assert!(seen.insert(scene_seed(seed, index)), "seed {seed}, picture {index}");
         }
+    }
+}
+
+/// A picture of the plain distribution before there was another: 64 levels, of pixel
+/// (61 + 125 (n mod 8), 61 + 125 (n div 8)) the channel n mod 3, and the boxes.
+#[derive(serde::Deserialize)]
+struct PlainPicture {
+    mix: Mix,
+    seed: String,
+    levels: Vec<u8>,
+    boxes: Vec<[f64; 4]>,
+}
+
+#[test]
+fn plain_pictures_stay_what_they_were() {
+    let pictures: Vec<PlainPicture> =
+        serde_json::from_str(include_str!("data/plain_pictures.json")).expect("JSON");
+    let mut renderer = Renderer::new();
+    for PlainPicture { mix, seed, levels, boxes } in pictures {
+        let seed = seed.parse().expect("a seed");
+        let rendered = renderer.render(seed, &Request::plain(mix)).expect("a picture");
+        assert!(rendered.conditions.plain && rendered.frame == Frame::PAPER);
+        for (n, &level) in levels.iter().enumerate() {
+            let (x, y) = (61 + 125 * (n as u32 % 8), 61 + 125 * (n as u32 / 8));
+            let found = rendered.picture.get_pixel(x, y).0[n % 3];
+            // Transforms differ in rounding from processor to processor; other noise would differ
+            // by more than a level in a third of the pixels.
+            assert!(found.abs_diff(level) <= 1, "{mix:?}: {found} at {x}, {y}, expected {level}");
+        }
+        assert_eq!(rendered.labels.len(), boxes.len());
+        for (label, [x, y, width, height]) in rendered.labels.iter().zip(boxes) {
+            for (a, b) in label.pixel_box.into_iter().zip([x, y, x + width, y + height]) {
+                assert!((a - b).abs() < 0.01, "{mix:?}: {:?}", label.pixel_box);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_lens_bends_places_and_back() {
+    let frame = Frame { width: 640, height: 480, mm_per_pixel: 0.05 };
+    let camera = Camera { frame, distortion: 0.1, ..Camera::default() };
+    // A corner lies half a diagonal from the middle: it shows what lies 1.1 times as far.
+    let [x, y] = camera.flat_place(640.0, 480.0);
+    assert_close(x, 1.1 * 16.0, 1e-12, "x");
+    assert_close(y, 1.1 * 12.0, 1e-12, "y");
+    for distortion in [-0.12, 0.0, 0.12] {
+        let camera = Camera { distortion, ..camera };
+        for place in [[0.0, 0.0], [630.0, 20.0], [100.0, 333.0]] {
+            let [x, y] = camera.flat_place(place[0], place[1]);
+            let [px, py] = camera.project(x, y, 0.0);
+            assert!((px - place[0]).hypot(py - place[1]) < 1e-3, "{place:?} becomes {px}, {py}");
+        }
+    }
+}
+
+#[test]
+fn a_contact_s_grid_covers_its_field() {
+    for (frame, gel) in [
+        (Frame::PAPER, [44.0, 44.0]),
+        (Frame::GELSIGHT_MINI, [24.3, 19.2]),
+        (Frame { width: 800, height: 600, mm_per_pixel: 0.0125 }, [14.0, 11.5]),
+        (Frame { width: 640, height: 480, mm_per_pixel: 0.09375 }, [64.0, 49.0]),
+    ] {
+        let grid = contact_grid(&frame, gel);
+        let side = grid.cells as f64 * grid.spacing_mm;
+        // As much free gel on every side as plain pictures have.
+        assert_close(side, gel[0] + 11.2, 1e-9, "side");
+        assert!(
+            grid.cells <= 640 && grid.spacing_mm >= 0.04 && grid.spacing_mm <= 0.12,
+            "{grid:?}"
+        );
+    }
+}
+
+#[test]
+fn shadows_fall_away_from_the_light() {
+    let grid = Grid { cells: 128, spacing_mm: 0.1 };
+    // A tower 1 mm high and 2 mm wide in the middle: at 45 degrees its shadow is 1 mm long.
+    let heights: Vec<f32> = body(grid, |x, y| (x.abs().max(y.abs()) < 1.0).then_some(1.0))
+        .into_iter()
+        .map(|h| h.max(0.0))
+        .collect();
+    let at = |shadow: &[f32], x: f64, y: f64| {
+        shadow[grid.index(y).round() as usize * 128 + grid.index(x).round() as usize]
+    };
+    for turns in 0..4 {
+        let azimuth = f64::from(turns) * std::f64::consts::FRAC_PI_2;
+        let ray = Ray { azimuth, elevation: std::f64::consts::FRAC_PI_4 };
+        let shadow = cast(grid, &heights, ray, 0.1);
+        let (sin, cos) = azimuth.sin_cos();
+        // Distances from the tower's middle against the light.
+        for (distance, dark) in [(1.5, true), (1.75, true), (2.3, false), (-1.5, false)] {
+            let found = at(&shadow, -distance * cos, -distance * sin);
+            assert_eq!(found, f32::from(u8::from(dark)), "{distance} mm away from {azimuth}");
+        }
+        assert_eq!(at(&shadow, 0.0, 0.0), 0.0, "its top is lit");
+        assert_eq!(at(&shadow, 1.5 * sin, 1.5 * cos), 0.0, "its side is lit");
+    }
+    // Low light makes long shadows: 1 / tan 20° = 2.75 mm.
+    let low = Ray { azimuth: 0.0, elevation: 20f64.to_radians() };
+    let shadow = cast(grid, &heights, low, 0.1);
+    assert_eq!(at(&shadow, -3.5, 0.0), 1.0);
+    assert_eq!(at(&shadow, -4.1, 0.0), 0.0);
+    // Askew light reaches both sides that face it.
+    let askew = Ray { azimuth: 0.6, elevation: std::f64::consts::FRAC_PI_4 };
+    let shadow = cast(grid, &heights, askew, 0.1);
+    assert_eq!(at(&shadow, 1.3, 0.0), 0.0);
+    assert_eq!(at(&shadow, 0.0, 1.3), 0.0);
+    assert!(at(&shadow, -1.4, -0.4) > 0.9);
+}
+
+#[test]
+fn gel_moves_sideways_as_the_layer_s_solution_says() {
+    let layer = Layer { thickness_mm: 4.0, shear_modulus_mpa: 0.145 };
+    // Thin: lubrication's 3 / (2 x k²); the next term is x²/5 of it.
+    for x in [1e-3, 0.019_99, 0.02, 0.05] {
+        let k = x / layer.thickness_mm;
+        assert_close(layer.sideways(k), 1.5 / (x * k * k), x * x, "thin");
+    }
+    // By hand at x = 1: 2 / (sinh 2 − 2) = 2 / 1.626860408, over k².
+    let k = 0.25;
+    assert_close(layer.sideways(k), 2.0 / 1.626_860_408 / (k * k), 1e-9, "x = 1");
+    // A half-space does not move.
+    assert!(layer.sideways(20.0) * 20.0 < 1e-30);
+
+    // A wave of depth w = cos kx moves the gel by T k sin kx: away from where it is deepest.
+    let grid = Grid { cells: 64, spacing_mm: 0.5 };
+    let k = std::f64::consts::TAU / 32.0;
+    let depth: Vec<f32> =
+        (0..grid.len()).map(|i| (k * grid.position(i % 64)).cos() as f32).collect();
+    let all = vec![true; 64];
+    let mut potential = vec![0.0; grid.len()];
+    Elasticity::sideways(&layer, grid).displacement(&depth, &all, &all, &mut potential);
+    let moved = Sideways {
+        potential: Surface::new(grid, potential),
+        share: Surface::new(grid, vec![0.0; grid.len()]),
+        shear_mm: [0.0; 2],
+    };
+    let x = grid.position(40);
+    let [rest, y] = moved.rest([x, 0.25]);
+    // Central differences shrink a slope by sinc(k h).
+    let expected = layer.sideways(k) * k * (k * x).sin() * (k * 0.5).sin() / (k * 0.5);
+    assert_close(x - rest, expected, 1e-4, "displacement");
+    assert!(expected > 0.1 && (y - 0.25).abs() < 1e-5);
+}
+
+#[test]
+fn markers_move_with_the_gel() {
+    let markers = Markers {
+        pitch_mm: 2.0,
+        size_mm: 0.6,
+        square: false,
+        yaw: 0.0,
+        origin_mm: [0.0; 2],
+        jitter: 0.0,
+        missing: 0.0,
+        brightness: [0.2; 3],
+        edge_mm: 0.05,
+        seed: 1,
+    };
+    // Dots of 0.6 mm about every second millimetre.
+    for (x, y, printed) in [(0.0, 0.0, 1.0), (2.25, -4.0, 1.0), (2.35, 0.0, 0.0), (1.0, 1.0, 0.0)] {
+        assert_eq!(markers.coverage(x, y), printed, "{x}, {y}");
+    }
+    // A potential of −x²/20 stretches the gel: what was at x is now at 1.1 x. The parts slide by
+    // 0.3 mm along y, and the gel follows by half.
+    let grid = Grid { cells: 64, spacing_mm: 0.25 };
+    let stretch = (0..grid.len()).map(|i| (-0.05 / 1.1 * grid.position(i % 64).powi(2)) as f32);
+    let moved = Sideways {
+        potential: Surface::new(grid, stretch.collect()),
+        share: Surface::new(grid, vec![0.5; grid.len()]),
+        shear_mm: [0.0, 0.3],
+    };
+    let seen = |x: f64, y: f64| {
+        let [x, y] = moved.rest([x, y]);
+        markers.coverage(x, y)
+    };
+    // The dot of (4, 0) is at (4.4, 0.15).
+    assert_eq!(seen(4.4, 0.15), 1.0);
+    assert_eq!(seen(4.65, 0.15), 1.0);
+    assert_eq!(seen(4.02, 0.15), 0.0);
+    assert_eq!(seen(4.4, -0.2), 0.0);
+}
+
+#[test]
+fn a_smoothed_relief_keeps_the_part_and_falls_off_beside_it() {
+    let grid = Grid { cells: 128, spacing_mm: 0.1 };
+    let rigid = body(grid, |x, y| (x.abs().max(y.abs()) < 1.5).then_some(0.7));
+    let contact = smooth::pressed(grid, &rigid, 0.4);
+    for (i, &d) in rigid.iter().enumerate() {
+        assert_eq!(contact.pressure[i] > 0.0, d > 0.0);
+        let depth = contact.displacement[i];
+        assert!(if d > 0.0 { depth == d } else { (0.0..0.7).contains(&depth) });
+    }
+    let row = 64 * 128;
+    let outside: Vec<f32> = (80..100).map(|x| contact.displacement[row + x]).collect();
+    assert!(outside.windows(2).all(|pair| pair[1] <= pair[0]) && outside[19] < 1e-3);
+}
+
+#[test]
+fn a_snap_s_visible_share_is_what_the_picture_shows() {
+    let mut rng = Pcg64::seed_from_u64(4);
+    // From so far that there is no parallax.
+    let camera = Camera { distance_mm: 1e6, ..Camera::default() };
+    for kind in [Kind::A, Kind::B] {
+        let part = Snap::sample_wide(&mut rng, kind, &Forced::default());
+        let place = |x: f64, yaw: f64| Placed {
+            part: part.clone(),
+            center_mm: [x, 0.0],
+            yaw,
+            tilt: [0.0; 2],
+            depth_mm: 1.4,
+        };
+        let share = |x, yaw| visible_share(&place(x, yaw), &camera, WINDOW);
+        assert_eq!(share(0.0, 0.3), 1.0);
+        assert_eq!(share(30.0, 0.3), 0.0);
+        // Cut by the edge in the middle along its length. Both halves make the whole, and the one
+        // in 64 that lies on the edge counts for both.
+        let (half, other) = (share(20.0, 0.0), share(20.0, std::f64::consts::PI));
+        assert!((0.2..0.8).contains(&half), "{half}");
+        assert!((half + other - 1.0).abs() < 0.04, "{half} and {other}");
+    }
+}
+
+#[test]
+fn a_wall_is_not_in_its_hook_s_box() {
+    let forced: Forced = "mild,wall".parse().expect("conditions");
+    let (grid, gel) = (GRID, [40.0, 40.0]);
+    let mut elasticity = Elasticity::new(&Layer::default(), grid);
+    let camera = Camera::default();
+    let mut checked = 0;
+    for seed in 0..6 {
+        let rng = &mut Pcg64::seed_from_u64(seed);
+        let region = [-20.0, -20.0, 20.0, 20.0];
+        let scene = Scene::sample_wide(rng, region, Mix::A, None, &forced);
+        assert!(scene.snaps.iter().all(|s| matches!(&s.part, Snap::Hook(h) if h.wall)));
+        assert!(scene.distractors.len() >= scene.snaps.len(), "each has its wall");
+        let body = scene.body(grid, gel);
+        let contact = solve(&mut elasticity, &body.penetration, &[], STOP);
+        let found = imprints(&body, &contact, grid, &camera, WINDOW, scene.snaps.len());
+        for (snap, imprint) in scene.snaps.iter().zip(found) {
+            let Some(imprint) = imprint else { continue };
+            // The turned outline's box, seen at the part's depth; walls of parts slope by a fifth.
+            let [a, b] = snap.part.half_size();
+            let (sin, cos) = (snap.yaw.sin().abs(), snap.yaw.cos().abs());
+            let extent = [a * cos + b * sin + 0.35, a * sin + b * cos + 0.35];
+            let [x0, y0, x1, y1] = imprint.pixel_box;
+            for (axis, (low, high)) in [(x0, x1), (y0, y1)].into_iter().enumerate() {
+                let center = snap.center_mm[axis] / MM_PER_PX + 500.0;
+                let reach = extent[axis] / MM_PER_PX + 5.0;
+                assert!(low > center - reach && high < center + reach, "seed {seed}: {imprint:?}");
+            }
+            checked += 1;
+        }
+    }
+    assert!(checked >= 6, "{checked} hooks touch");
+}
+
+#[test]
+fn lookalikes_have_no_label_and_can_be_drawn_alone() {
+    let mut renderer = Renderer::new();
+    let forced: Forced = "frame=gelsight-mini".parse().expect("a frame");
+    let parts = [
+        Part::Arm,
+        Part::Block,
+        Part::Tab,
+        Part::Ring,
+        Part::Screw,
+        Part::Nut,
+        Part::Ball,
+        Part::Prism,
+        Part::Bracket,
+        Part::Letters,
+        Part::Rib,
+        Part::Edge,
+        Part::Pin,
+        Part::Nothing,
+    ];
+    for part in parts {
+        let request =
+            Request { part: Some(part), forced: forced.clone(), ..Request::wide(Mix::None) };
+        let rendered = renderer.render(3, &request).expect("a picture");
+        assert!(rendered.labels.is_empty(), "{part:?}");
+        assert_eq!(rendered.frame, Frame::GELSIGHT_MINI);
+        assert_eq!(rendered.picture.dimensions(), (320, 240));
+        let rng = &mut Pcg64::seed_from_u64(3);
+        let scene =
+            Scene::sample_wide(rng, [-10.0, -8.0, 10.0, 8.0], Mix::None, Some(part), &forced);
+        assert_eq!(scene.distractors.is_empty(), part == Part::Nothing, "{part:?}");
+        if let Some(shape) = Distractor::sample_wide(rng, part) {
+            // The highest point is at 0, and the outline is where the part ends.
+            let [a, b] = shape.half_size().unwrap_or([5.0, 5.0]);
+            let mut highest = f64::NEG_INFINITY;
+            for (i, j) in (-60..=60).flat_map(|i| (-60..=60).map(move |j| (i, j))) {
+                let (u, v) = (f64::from(i) / 60.0 * 1.2 * a, f64::from(j) / 60.0 * 1.2 * b);
+                let height = shape.height(u, v);
+                highest = highest.max(height);
+                if shape.half_size().is_some() && (u.abs() > a + 0.01 || v.abs() > b + 0.01) {
+                    assert!(height < -0.01, "{shape:?} is {height} high at {u}, {v}");
+                }
+            }
+            assert!(highest <= 1e-9 && highest > -0.3, "{part:?} is {highest} high");
+        }
+    }
+}
+
+#[test]
+fn wide_pictures_are_as_their_labels_say() {
+    let mut renderer = Renderer::new();
+    for seed in 0..10 {
+        let rendered = renderer.render(seed, &Request::wide(Mix::Mixed)).expect("a picture");
+        let again = Renderer::new().render(seed, &Request::wide(Mix::Mixed)).expect("a picture");
+        assert!(rendered.picture == again.picture, "seed {seed} gives two pictures");
+        assert_eq!(rendered.labels, again.labels);
+        let Frame { width, height, mm_per_pixel } = rendered.frame;
+        assert_eq!(rendered.picture.dimensions(), (width as u32, height as u32));
+        let [left, top, right, bottom] = rendered.conditions.window;
+        for label in &rendered.labels {
+            let [x0, y0, x1, y1] = label.pixel_box;
+            assert!(left <= x0 && x0 < x1 && x1 <= right && top <= y0 && y0 < y1 && y1 <= bottom);
+            assert!((x1 - x0).max(y1 - y0) * mm_per_pixel >= LEAST_IMPRINT_MM);
+            assert_eq!(label.whole, label.visible == 1.0);
+            assert!(label.visible >= 0.25);
+            let is_hook = label.kind == Kind::A;
+            assert_eq!(label.yaw_deg.is_some(), is_hook);
+            assert_eq!(label.slots.is_none(), is_hook);
+            assert_eq!(label.hole_mm.is_none(), is_hook);
+        }
+        if rendered.conditions.colour < 0.0 && rendered.conditions.jpeg.is_none() {
+            assert!(rendered.picture.pixels().all(|p| p.0[0] == p.0[1] && p.0[1] == p.0[2]));
+        }
+    }
+}
+
+#[test]
+fn conditions_keep_to_their_ranges() {
+    let mut strong = BTreeMap::new();
+    let count = 2000;
+    for seed in 0..count {
+        let rng = &mut Pcg64::seed_from_u64(seed);
+        let (frame, c) = Conditions::sample(rng, &Forced::default());
+        let field = frame.longer_mm();
+        assert!((FIELD_MM[0] * 0.999..=FIELD_MM[1] * 1.001).contains(&field), "{frame:?}");
+        assert!(frame.mm_per_pixel <= 1.001 / 6.0, "{frame:?}");
+        assert!((0.8..=4.0).contains(&c.strength) && (0.0..=1.0).contains(&c.shadows));
+        assert!((0.25..=2.5).contains(&c.exposure) && (0.0..=0.05).contains(&c.mottle));
+        assert!(c.markers_mm == 0.0 || (1.0..=4.0).contains(&c.markers_mm));
+        assert!(c.jpeg.is_none_or(|q| (40..=95).contains(&q)));
+        assert!((-1.0..=1.0).contains(&c.colour) && c.distortion.abs() <= 0.12);
+        assert!((2.5..=6.0).contains(&c.gel_mm) && (28.0..=48.0).contains(&c.snr_db));
+        let mut tell = |name, is: bool| *strong.entry(name).or_insert(0u64) += u64::from(is);
+        tell("paper's frame", frame == Frame::PAPER);
+        tell("markers", c.markers_mm > 0.0);
+        tell("shadows", c.shadows > 0.0);
+        tell("strength", c.strength > 2.0);
+        tell("grey", c.colour < 0.0);
+        tell("overexposed", c.exposure > 1.4);
+        tell("housing", c.housing);
+    }
+    for (name, found) in strong {
+        // Each is neither rare nor the rule.
+        assert!((count / 15..count * 2 / 3).contains(&found), "{name}: {found} of {count}");
+    }
+}
+
+#[test]
+fn wide_scenes_are_balanced() {
+    let region = [-16.0, -12.0, 16.0, 12.0];
+    let count = 1500;
+    let (mut without, mut walls, mut sides, mut few, mut faint, mut narrow) = (0, 0, 0, 0, 0, 0);
+    let mut kinds = BTreeMap::new();
+    let mut areas: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+    for seed in 0..count {
+        let scene = Scene::sample_wide(
+            &mut Pcg64::seed_from_u64(seed),
+            region,
+            Mix::Mixed,
+            None,
+            &Forced::default(),
+        );
+        without += usize::from(scene.snaps.is_empty());
+        for snap in &scene.snaps {
+            *kinds.entry(snap.part.kind().name()).or_insert(0usize) += 1;
+            faint += usize::from(snap.depth_mm < 0.8);
+            let [a, b] = snap.part.half_size();
+            match &snap.part {
+                Snap::Hook(hook) => {
+                    walls += usize::from(hook.wall);
+                    sides += usize::from(hook.on_side.is_some());
+                    if hook.on_side.is_none() {
+                        areas.entry("A").or_default().push(4.0 * a * b);
+                    }
+                }
+                Snap::Stud(stud) => {
+                    assert!([2, 3, 4, 6].contains(&stud.slots));
+                    few += usize::from(stud.slots == 2);
+                    narrow += usize::from(stud.hole_mm() < 2.5);
+                    areas.entry("B").or_default().push(std::f64::consts::PI * a * b);
+                }
+            }
+        }
+    }
+    let (a, b) = (kinds["A"], kinds["B"]);
+    let share = |found: usize, all: usize| found as f64 / all as f64;
+    // 4 in 10 of these, and a plain fifth with 8 in 100: a third of all.
+    let all = 0.8 * share(without, count as usize) + 0.2 * 0.08;
+    assert!((0.30..0.37).contains(&all), "{all} of wide pictures show no snap");
+    // About 1200 snaps: five standard errors are 0.07.
+    assert!((0.43..0.57).contains(&share(a, a + b)), "{a} of A, {b} of B");
+    assert!((0.25..0.45).contains(&share(walls, a)), "{walls} walls of {a}");
+    assert!((0.05..0.2).contains(&share(sides, a)), "{sides} on their side of {a}");
+    assert!((0.2..0.4).contains(&share(few, b)), "{few} with two slots of {b}");
+    assert!((0.3..0.7).contains(&share(narrow, b)), "{narrow} with a small hole of {b}");
+    assert!((0.2..0.45).contains(&share(faint, a + b)), "{faint} faint of {}", a + b);
+    // Size does not give the class away.
+    let mean = |kind: &str| areas[kind].iter().sum::<f64>() / areas[kind].len() as f64;
+    assert_close(mean("A"), mean("B"), 0.15, "mean area");
+}
+
+#[test]
+fn contrast_is_told_in_a_plain_sensor_s() {
+    let mut rng = Pcg64::seed_from_u64(8);
+    let mut contrasts: Vec<f64> = (0..1001).map(|_| Shading::sample(&mut rng).contrast()).collect();
+    contrasts.sort_by(f64::total_cmp);
+    assert_close(contrasts[500], TYPICAL_CONTRAST, 0.1, "median contrast");
+    for colour in [0.0, 0.5, 1.0] {
+        let shading = Shading::sample_wide(&mut rng, colour, 0.3);
+        assert_close(shading.contrast(), 0.3, 1e-9, "measured");
+        let mut lamps = Lamps::sample(&mut rng, 20.0, colour);
+        lamps.set_contrast(0.15);
+        assert_close(lamps.contrast(), 0.15, 1e-6, "lamps");
+    }
+}
+
+#[test]
+fn a_slope_towards_a_lamp_is_brighter() {
+    let mut rng = Pcg64::seed_from_u64(2);
+    let mut lamps = Lamps::sample(&mut rng, 20.0, 0.0);
+    lamps.lamps.truncate(1);
+    lamps.lamps[0].ray = Ray { azimuth: 0.0, elevation: 0.5 };
+    let beams = lamps.beams();
+    // Light comes from +x. Where the dent deepens along x the surface faces −x.
+    let brightness = |gx: f32| beams.lit([0.0; 2], [gx, 0.0], |_| 0.0)[1];
+    assert!(brightness(-0.3) > brightness(0.0) && brightness(0.0) > brightness(0.3));
+    // In full shadow the ambient light is left.
+    assert_close(
+        beams.lit([0.0; 2], [0.0; 2], |_| 1.0)[1].into(),
+        lamps.ambient[1],
+        1e-6,
+        "shadow",
+    );
+}
+
+#[test]
+fn conditions_are_forced_by_name() {
+    let forced: Forced = "mild,markers=2,exposure=1.5..2.5,wall=no,frame=320x240@0.0634,scale=0.75"
+        .parse()
+        .expect("conditions");
+    for seed in 0..50 {
+        let (frame, c) = Conditions::sample(&mut Pcg64::seed_from_u64(seed), &forced);
+        assert_eq!((frame.width, frame.height), (320, 240));
+        assert_close(frame.mm_per_pixel, 0.0634 / 0.75, 1e-3, "scale");
+        assert_eq!(c.markers_mm, 2.0);
+        assert!((1.5..2.5).contains(&c.exposure));
+        // The rest is mild.
+        assert!(c.strength < 1.5 && c.shadows == 0.0 && c.jpeg.is_none() && !c.housing);
+    }
+    // What is forced is told as it is asked for.
+    assert_eq!(forced.to_string().parse::<Forced>(), Ok(forced));
+    let flags: Forced = "shadows,optics=lamps,cut=no,side".parse().expect("conditions");
+    assert_eq!(flags.to_string(), "cut=no,optics=lamps,shadows=0.6..1.0,side=yes");
+    assert_eq!(Forced::default().to_string(), "");
+    for (text, wanted) in [
+        ("marker=2", "one of scale"),
+        ("markers", "markers=X"),
+        ("exposure=9", "exposure=X or exposure=X..Y with 0.05"),
+        ("exposure=2..1", "X ≤ Y"),
+        ("wall=maybe", "wall=no"),
+        ("frame=100x100@1", "frame=paper"),
+        ("frame=mini", "frame=paper"),
+        ("optics=sun", "optics=measured"),
+    ] {
+        let error = text.parse::<Forced>().expect_err(text).to_string();
+        assert!(error.contains(text) && error.contains(wanted), "{error}");
     }
 }

@@ -6,13 +6,18 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use image::DynamicImage;
-use smr_gpu::comparison::{STAGE_BOUND, relative_l2};
-use smr_gpu::gpu::{Plan, PlanOptions};
+use smr_gpu::comparison::relative_l2;
+use smr_gpu::gpu::{Gpu, GpuOptions, Plan, PlanOptions};
 use smr_gpu::model::{ModelConfig, Network, Thresholds, Variant, Weights};
 use smr_gpu::ops::Crop;
+use smr_gpu::sensor::dataset;
+use smr_gpu::sensor::render::{Renderer, Request};
+use smr_gpu::sensor::scene::Mix;
 use smr_gpu::tensor::{Tensor, Value};
 use smr_gpu::{Config, Device, Error, GpuDetector};
 
+/// The bound on each stage's relative L2 error on the pictures of these tests.
+const STAGE_BOUND: f64 = 1e-5;
 /// What a relative error of 1e-5 makes of a logit of 10, and so at most of a score.
 const SCORE: f32 = 1e-4;
 /// The same of a box's deltas, on 300 picture pixels, and of the box that they refer to.
@@ -88,17 +93,32 @@ fn stages_match_pytorch() {
 fn gpu_matches_the_f64_network_on_a_sample() {
     let gpu = detector(Device::default(), |_| ());
     let comparison = gpu.compare(&first_sample()).expect("a comparison");
-    let mut compared = 0;
-    for (name, error) in comparison.stages.iter().flat_map(|s| &s.tensors) {
-        println!("{name}: {error:.2e}");
-        assert!(*error <= STAGE_BOUND, "{name}: relative L2 error {error:.2e}");
-        compared += 1;
+    assert_eq!(comparison.failures().collect::<Vec<_>>(), [""; 0]);
+    let tensors: Vec<_> = comparison.stages.iter().flat_map(|s| &s.tensors).collect();
+    assert!(tensors.len() >= 100, "only {} tensors", tensors.len());
+    for tensor in tensors {
+        println!("{tensor:?}");
+        assert!(tensor.share <= 1.0 && tensor.bias.is_none_or(|b| b <= 1.0), "{tensor:?}");
+        assert!(tensor.drift.is_none_or(|d| d <= STAGE_BOUND), "{tensor:?}");
     }
-    assert!(compared >= 100, "only {compared} tensors");
-    assert!(!comparison.expected.detections.is_empty(), "the sample shows a snap");
-    assert_eq!(comparison.found.proposals, comparison.expected.proposals);
-    let (score, pixels) = comparison.differences().expect("the same detections");
-    assert!(score <= SCORE && pixels <= PIXELS, "{score} {pixels}");
+    let (found, expected) = (&comparison.found, &comparison.expected);
+    assert!(!expected.detections.is_empty(), "the sample shows a snap");
+    assert_eq!(found.detections.len(), expected.detections.len());
+    assert_eq!(found.proposals, expected.proposals);
+    let shift = comparison.shift;
+    assert!(shift.score <= SCORE.into() && shift.pixels <= PIXELS.into(), "{shift:?}");
+}
+
+/// A picture without a snap on which proposals overlap by 0.7 to within rounding, so that one is on
+/// one side alone and every later row moves.
+#[test]
+fn a_choice_by_rounding_is_no_failure() {
+    let scene = dataset::scene_seed(2004, 5);
+    let rendered = Renderer::new().render(scene, &Request::plain(Mix::None)).expect("a picture");
+    let picture = DynamicImage::from(rendered.picture);
+    let comparison = detector(Device::default(), |_| ()).compare(&picture).expect("a comparison");
+    println!("{:?}", comparison.excused().collect::<Vec<_>>());
+    assert_eq!(comparison.failures().collect::<Vec<_>>(), [""; 0]);
 }
 
 /// Shared buffers against one for each tensor: every output, to the bit.
@@ -164,6 +184,33 @@ fn small_config(variant: Variant) -> ModelConfig {
         stride: if variant.msff { 8 } else { 16 },
         reduction: 16,
         variant,
+    }
+}
+
+/// Bounds checks change no bit of a whole detection, either.
+#[test]
+fn bounds_checks_change_no_bit() {
+    let full = Variant { safe: true, msff: true, rw: true };
+    let weights = Weights::random(small_config(full), 7);
+    let thresholds = Thresholds { score: 0.0, iou: 0.5, max_detections: 100, class_mask: u32::MAX };
+    let network = Network::new(weights, 80 * 70, thresholds).expect("a network");
+    let pixel = |i| (i as u32).wrapping_mul(2_654_435_761);
+    let picture = Value::from(Tensor::from_fn([80 * 70], pixel));
+    let crop = Tensor::new([5], vec![80, 70, 5, 0, 70]).expect("five values").into();
+    let inputs = [(network.picture, &picture), (network.crop, &crop)];
+    let recording = network.graph.record(&network.graph.computed()).expect("a recording");
+    let run = |checked| {
+        let options = GpuOptions { checked, ..GpuOptions::default() };
+        let gpu = pollster::block_on(Gpu::open(options)).expect("an adapter");
+        let plan = pollster::block_on(Plan::new(&gpu, &recording, PlanOptions::default()));
+        let mut values = plan.expect("a plan").run(&inputs).expect("a run").values;
+        network.graph.truncate(&inputs, &mut values);
+        values
+    };
+    let (with, without) = (run(true), run(false));
+    assert!(without.len() >= 100, "only {} tensors", without.len());
+    for (id, value) in &without {
+        assert!(value.bytes() == with[id].bytes(), "{} differs", network.graph.name(*id));
     }
 }
 
@@ -238,14 +285,15 @@ fn every_variant_matches_its_reference_and_pytorch() {
 fn overflow_is_reported() {
     let bytes = std::fs::read(file("weights/smrnet.safetensors")).expect("the weights");
     let (header, metadata) = safetensors::SafeTensors::read_metadata(&bytes).expect("a header");
-    for tensor in ["backbone.bn1.weight", "roi_head.fc6.bias"] {
+    // The first is just small enough to be folded into its convolution.
+    for (tensor, large) in [("backbone.bn1.weight", 1e37f32), ("roi_head.fc6.bias", 3e38)] {
         let info = metadata.info(tensor).expect("the tensor").clone();
         assert_eq!(info.dtype, safetensors::Dtype::F32);
         let mut broken = bytes.clone();
         let start = 8 + header;
         let range = start + info.data_offsets.0..start + info.data_offsets.1;
         for value in broken[range].chunks_exact_mut(4) {
-            value.copy_from_slice(&3e38f32.to_le_bytes());
+            value.copy_from_slice(&large.to_le_bytes());
         }
         let mut config = Config::new("unused");
         config.weights = smr_gpu::WeightSource::Bytes("broken".into(), broken.into());

@@ -1,14 +1,17 @@
 //! `smr-gpu calibrate`: the simulated sensor's optics against real presses of a ball.
 
+use std::io::Cursor;
 use std::path::PathBuf;
 
+use image::ImageFormat;
+use smr_gpu::files::Outputs;
 use smr_gpu::sensor::Error;
 use smr_gpu::sensor::calibrate::{
-    self, CROP_PX, DIFFERENCE_GAIN, Distance, FOLDS, read_sensors, write_sensors,
+    self, CROP_PX, DIFFERENCE_GAIN, Distance, FOLDS, read_sensor, sensor_files,
 };
 
 use super::exit::{Exit, Failure};
-use super::output::{cannot_write, line, tell};
+use super::output::{line, tell};
 
 /// Compare the simulated sensor with real presses of a ball
 ///
@@ -34,7 +37,15 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
+    let sensors = match &args.flatfields {
+        Some(folder) => sensor_files(folder).map_err(unreadable)?,
+        None => Vec::new(),
+    };
     let report = calibrate::calibrate(&args.presses).map_err(unreadable)?;
+    let outputs = Outputs::sparing(report.files.iter().chain(&sensors));
+    for file in args.save.iter().chain(&args.write) {
+        outputs.check(file)?;
+    }
     line(format!("{} presses, {CROP_PX}×{CROP_PX} crops, {FOLDS}-fold held out", report.presses))?;
     line("")?;
     line("| renderer | L1 | PSNR, dB | SSIM |")?;
@@ -45,19 +56,26 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     row("the untouched background, nothing drawn", &report.background)?;
     row("this simulator, held out", &report.held_out)?;
     if let Some(path) = &args.save {
-        report.comparison.save(path).map_err(|error| cannot_write(path, error))?;
+        let mut png = Cursor::new(Vec::new());
+        report
+            .comparison
+            .write_to(&mut png, ImageFormat::Png)
+            .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", path.display())))?;
+        outputs.write(path, png.get_ref())?;
         tell(format!(
             "{}: real, simulated, difference ({DIFFERENCE_GAIN} times, about grey)",
             path.display()
         ));
     }
     if let Some(path) = &args.write {
-        let mut sensors = vec![report.sensor()];
-        if let Some(folder) = &args.flatfields {
-            sensors.extend(read_sensors(folder).map_err(unreadable)?);
+        let mut fitted = vec![report.sensor().map_err(unreadable)?];
+        for file in &sensors {
+            fitted.push(read_sensor(file).map_err(unreadable)?);
         }
-        write_sensors(path, &sensors).map_err(|error| Failure::new(Exit::Output, error))?;
-        tell(format!("{}: {} sensors", path.display(), sensors.len()));
+        let text = serde_json::to_string(&fitted)
+            .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", path.display())))?;
+        outputs.write(path, text.as_bytes())?;
+        tell(format!("{}: {} sensors", path.display(), fitted.len()));
     }
     Ok(Exit::Done)
 }

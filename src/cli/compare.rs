@@ -1,24 +1,32 @@
-//! `smr-gpu compare`: holds the whole network on a device, stage by stage, to the f64 reference.
+//! `smr-gpu compare`: holds the whole network on a device to the f64 reference.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
-use smr_gpu::comparison::STAGE_BOUND;
+use serde::Serialize;
 use smr_gpu::{Comparison, GpuDetector};
 
 use super::detector::{DetectorArgs, fraction, gpu_only};
 use super::exit::{Exit, Failure};
-use super::output::{line, tell};
+use super::output::{json_line, line, tell};
 use super::picture;
-use super::source::Source;
+use super::source::{Source, expand_all};
 
-/// Hold the whole network to its f64 reference on one picture, stage by stage
+/// Hold the whole network to its f64 reference on pictures
 ///
-/// Prints each stage's time on the device and in the reference, and its largest relative L2 error;
-/// fails past 1e-5, or if the two find other snaps or the same in another order.
+/// Each operation is held to the reference on the device's own inputs, within its error bound; the
+/// detections are held to those of the reference that saw the picture alone. Prints a line a stage
+/// for one picture, a line a picture for several; fails if a bound is passed or a difference is not
+/// explained by rounding.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// A picture, or `-` for one on stdin.
-    picture: PathBuf,
+    /// Pictures, folders of pictures, patterns such as 'in/*.png', or `-` for one picture on stdin.
+    #[arg(required = true, value_name = "SOURCE")]
+    sources: Vec<PathBuf>,
+
+    /// Print one JSON object a line for each picture.
+    #[arg(long)]
+    json: bool,
 
     /// Compare the detections with a score above this (0 to 1).
     #[arg(long, default_value_t = 0.5, value_name = "SCORE", value_parser = fraction)]
@@ -28,54 +36,181 @@ pub(super) struct Args {
     detector: DetectorArgs,
 }
 
+/// One picture's comparison, as `--json` prints it. An infinite number is null.
+#[derive(Serialize)]
+struct Record<'a> {
+    file: String,
+    adapter: &'a str,
+    ok: bool,
+    stages: Vec<Stage<'a>>,
+    snaps: usize,
+    expected_snaps: usize,
+    score_shift: f64,
+    pixel_shift: f64,
+    mm_shift: f64,
+    excused: Vec<&'a str>,
+    failures: Vec<&'a str>,
+}
+
+#[derive(Serialize)]
+struct Stage<'a> {
+    stage: &'a str,
+    ms: Option<f64>,
+    reference_ms: f64,
+    share: f64,
+    bias: Option<f64>,
+    drift: Option<f64>,
+}
+
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    let source = Source::from(args.picture.as_path());
-    let picture = picture::read(&source)
-        .map_err(|message| Failure::new(Exit::Inputs, format!("{source}: {message}")))?;
+    let (sources, mut exit) = expand_all(&args.sources)?;
     let mut config = args.detector.config()?;
     gpu_only(&config.device)?;
+    if sources.is_empty() {
+        return Ok(exit);
+    }
     config.score = args.conf;
     config.keep_stages = true;
     let detector = GpuDetector::new(config)?;
     tell(format!("{} against the CPU reference (f64)", detector.adapter()));
-    let result = detector.compare(&picture);
-    let comparison = result.map_err(|e| Failure::about(&source, &e).told())?;
-    report(&comparison)
-}
-
-fn report(comparison: &Comparison) -> Result<Exit, Failure> {
-    line(format!("{:<20}  {:>9}  {:>9}  {:>10}", "stage", "GPU ms", "CPU ms", "error"))?;
-    let milliseconds = |d: std::time::Duration| d.as_secs_f64() * 1e3;
-    let mut exit = Exit::Done;
-    for stage in &comparison.stages {
-        let error = stage.error();
-        // Not `error > bound`: a NaN must fail.
-        let within = error <= STAGE_BOUND;
-        let verdict = if within { "" } else { "  FAILED" };
-        let time = stage.time.map_or("-".into(), |t| format!("{:.1}", milliseconds(t)));
-        let reference = milliseconds(stage.reference_time);
-        line(format!("{:<20}  {time:>9}  {reference:>9.1}  {error:>10.1e}{verdict}", stage.stage))?;
-        if !within {
-            exit = Exit::Inputs;
-        }
+    let alone = sources.len() == 1;
+    if !alone && !args.json {
+        heading(&sources)?;
     }
-    let [wall, reference] = [&comparison.found, &comparison.expected].map(|d| milliseconds(d.wall));
-    line(format!("{:<20}  {wall:>9.1}  {reference:>9.1}", "all"))?;
-    match comparison.differences() {
-        Some((score, pixels)) => {
-            let snaps = comparison.found.detections.len();
-            line(format!(
-                "{snaps} snaps, scores within {score:.1e}, corners within {pixels:.1e} px"
-            ))?;
+    for source in &sources {
+        let comparison = match compare(&detector, source) {
+            Ok(comparison) => comparison,
+            Err(Failure { exit: Exit::Inputs, message }) => {
+                message.into_iter().for_each(tell);
+                exit = Exit::Inputs;
+                continue;
+            }
+            Err(failure) => return Err(failure.told()),
+        };
+        match (args.json, alone) {
+            (true, _) => json_line(&record(source, &detector, &comparison))?,
+            (false, true) => report(&comparison)?,
+            (false, false) => summary(source, &sources, &comparison)?,
         }
-        None => {
-            let (found, expected) = (&comparison.found.detections, &comparison.expected.detections);
-            let (found, expected) = (found.len(), expected.len());
-            line(format!(
-                "FAILED: {found} snaps, expected the reference's {expected} in its order"
-            ))?;
+        for failure in comparison.failures() {
+            tell(format!("{source}: {failure}"));
             exit = Exit::Inputs;
         }
     }
     Ok(exit)
+}
+
+fn compare(detector: &GpuDetector, source: &Source) -> Result<Comparison, Failure> {
+    let picture = picture::read(source)
+        .map_err(|message| Failure::new(Exit::Inputs, format!("{source}: {message}")))?;
+    detector.compare(&picture).map_err(|e| Failure::about(source, &e))
+}
+
+fn milliseconds(time: Duration) -> f64 {
+    time.as_secs_f64() * 1e3
+}
+
+fn record<'a>(
+    source: &Source,
+    detector: &'a GpuDetector,
+    comparison: &'a Comparison,
+) -> Record<'a> {
+    let failures: Vec<_> = comparison.failures().collect();
+    let stages = comparison.stages.iter().map(|stage| Stage {
+        stage: &stage.stage,
+        ms: stage.time.map(milliseconds),
+        reference_ms: milliseconds(stage.reference_time),
+        share: stage.share(),
+        bias: stage.bias(),
+        drift: stage.drift(),
+    });
+    Record {
+        file: source.to_string(),
+        adapter: detector.adapter(),
+        ok: failures.is_empty(),
+        stages: stages.collect(),
+        snaps: comparison.found.detections.len(),
+        expected_snaps: comparison.expected.detections.len(),
+        score_shift: comparison.shift.score,
+        pixel_shift: comparison.shift.pixels,
+        mm_shift: comparison.shift_mm,
+        excused: comparison.excused().collect(),
+        failures,
+    }
+}
+
+/// The table of one picture: a line a stage.
+fn report(comparison: &Comparison) -> Result<(), Failure> {
+    let [stage, gpu, cpu] = ["stage", "GPU ms", "CPU ms"];
+    line(format!(
+        "{stage:<20}  {gpu:>8}  {cpu:>8}  {:>8}  {:>8}  {:>8}",
+        "error", "bias", "drift"
+    ))?;
+    let number = |value: Option<f64>, digits: usize| match value {
+        Some(value) => format!("{value:.digits$}"),
+        None => "-".into(),
+    };
+    for stage in &comparison.stages {
+        let verdict = match stage.tensors.iter().any(|t| t.failure.is_some()) {
+            true => "  FAILED",
+            false => "",
+        };
+        line(format!(
+            "{:<20}  {:>8}  {:>8.1}  {:>8.4}  {:>8}  {:>8}{verdict}",
+            stage.stage,
+            number(stage.time.map(milliseconds), 1),
+            milliseconds(stage.reference_time),
+            stage.share(),
+            number(stage.bias(), 4),
+            stage.drift().map_or("-".into(), |d| format!("{d:.1e}")),
+        ))?;
+    }
+    let [wall, reference] = [&comparison.found, &comparison.expected].map(|d| milliseconds(d.wall));
+    line(format!("{:<20}  {wall:>8.1}  {reference:>8.1}", "all"))?;
+    let (found, expected) = (&comparison.found.detections, &comparison.expected.detections);
+    let shift = comparison.shift;
+    line(format!(
+        "{} snaps, the reference {}; scores within {:.1e}, corners within {:.1e} px, {:.1e} mm",
+        found.len(),
+        expected.len(),
+        shift.score,
+        shift.pixels,
+        comparison.shift_mm
+    ))?;
+    for excuse in comparison.excused() {
+        line(format!("rounding: {excuse}"))?;
+    }
+    Ok(())
+}
+
+fn heading(sources: &[Source]) -> Result<(), Failure> {
+    let width = width(sources);
+    let [file, error, bias, drift] = ["file", "error", "bias", "drift"];
+    line(format!(
+        "{file:width$}  {error:>7}  {bias:>7}  {drift:>7}  snaps  {:>7}  {:>7}  {:>7}  rounding",
+        "score", "px", "mm"
+    ))
+}
+
+fn summary(source: &Source, sources: &[Source], comparison: &Comparison) -> Result<(), Failure> {
+    let shift = comparison.shift;
+    let verdict = if comparison.failures().next().is_some() { "  FAILED" } else { "" };
+    line(format!(
+        "{:w$}  {:>7.4}  {:>7.4}  {:>7.1e}  {:>5}  {:>7.1e}  {:>7.1e}  {:>7.1e}  {:>8}{verdict}",
+        source.to_string(),
+        comparison.share(),
+        comparison.bias(),
+        comparison.drift(),
+        comparison.found.detections.len(),
+        shift.score,
+        shift.pixels,
+        comparison.shift_mm,
+        comparison.excused().count(),
+        w = width(sources)
+    ))
+}
+
+fn width(sources: &[Source]) -> usize {
+    let longest = sources.iter().map(|s| s.to_string().chars().count()).max();
+    longest.unwrap_or(0).clamp(4, 48)
 }

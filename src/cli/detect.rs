@@ -1,18 +1,21 @@
 //! `smr-gpu detect`: finds the snaps in pictures, prints and draws them.
 
 use std::collections::HashMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use image::DynamicImage;
 use serde::Serialize;
-use smr_gpu::{Detections, GpuDetector};
+use smr_gpu::detector::Stages;
+use smr_gpu::files::Outputs;
+use smr_gpu::{Detections, GpuDetector, WeightSource};
 
 use super::detector::{self, DetectorArgs, fraction};
 use super::draw::{Artist, Gallery};
 use super::exit::{Exit, Failure};
 use super::output::{json_line, line, tell};
-use super::source::{Source, expand};
+use super::printable::printable;
+use super::source::{Source, expand_all};
 use super::{picture, tensors};
 
 /// Find the snaps in pictures
@@ -89,20 +92,7 @@ struct StageMs<'a> {
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    let mut exit = Exit::Done;
-    let mut sources = Vec::new();
-    for argument in &args.sources {
-        match expand(argument) {
-            Ok(found) => sources.extend(found),
-            Err(message) => {
-                tell(message);
-                exit = Exit::Inputs;
-            }
-        }
-    }
-    if sources.iter().filter(|s| **s == Source::Stdin).count() > 1 {
-        return Err(Failure::usage("`-`: expected once, got it several times"));
-    }
+    let (sources, mut exit) = expand_all(&args.sources)?;
     if args.dump_stages.is_some() && sources.len() != 1 {
         let got = sources.len();
         return Err(Failure::usage(format!("--dump-stages: expected one picture, got {got}")));
@@ -110,23 +100,24 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     if sources.is_empty() {
         return Ok(exit);
     }
-    if let (Some(file), [Source::File(source)]) = (&args.dump_stages, &sources[..]) {
-        let [dump, picture] = [file, source].map(|path| path.canonicalize().ok());
-        if dump.is_some() && dump == picture {
-            let file = file.display();
-            return Err(Failure::usage(format!("--dump-stages: {file} is the picture itself")));
-        }
-    }
     let mut config = args.detector.config()?;
     config.score = args.conf;
     config.max_detections = args.max_det.into();
     config.classes = args.classes.clone();
     config.keep_stages = args.dump_stages.is_some();
+    let mut outputs = Outputs::sparing(sources.iter().map(|source| match source {
+        Source::File(path) => path.as_path(),
+        // Where this is a file, it is as much an input.
+        Source::Stdin => Path::new("/dev/stdin"),
+    }));
+    if let WeightSource::File(weights) = &config.weights {
+        outputs.spare(weights);
+    }
+    if let Some(file) = &args.dump_stages {
+        outputs.check(file)?;
+    }
     let detector = detector::open(config)?;
-    let mut gallery = match &args.save {
-        Some(folder) => Some(Gallery::create(folder, &sources)?),
-        None => None,
-    };
+    let mut gallery = args.save.as_deref().map(Gallery::create).transpose()?;
     let artist = Artist::new(&detector.model().classes);
     let table = Table::new(&sources);
     if !args.json {
@@ -138,15 +129,15 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             Ok(picture) => picture,
             Err(message) => {
                 tell(format!("{source}: {message}"));
-                exit = Exit::Inputs;
+                exit = exit.max(Exit::Inputs);
                 continue;
             }
         };
-        let found = match look(&detector, source, &picture, &args) {
+        let (found, stages) = match look(&detector, source, &picture, &args) {
             Ok(found) => found,
             Err(Failure { exit: Exit::Inputs, message }) => {
                 message.into_iter().for_each(tell);
-                exit = Exit::Inputs;
+                exit = exit.max(Exit::Inputs);
                 continue;
             }
             Err(failure) => return Err(failure.told()),
@@ -155,8 +146,13 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             true => json_line(&record(source, &found, detector.adapter()))?,
             false => table.picture(source, &found)?,
         }
+        // A file that cannot be written takes none of the other results with it.
         if let Some(gallery) = &mut gallery {
-            gallery.save(source, &artist.draw(&picture, &found.detections))?;
+            let drawn = artist.draw(&picture, &found.detections);
+            exit = exit.max(told(gallery.save(&mut outputs, source, &drawn)));
+        }
+        if let Some(file) = &args.dump_stages {
+            exit = exit.max(told(dump(&outputs, file, &detector, source, &stages)));
         }
         pictures += 1;
         snaps += found.detections.len();
@@ -173,18 +169,28 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     Ok(exit)
 }
 
-/// Looks at one picture, and writes the stages if that was asked for.
+/// Looks at one picture; the stages' tensors come along if they were asked for.
 fn look(
     detector: &GpuDetector,
     source: &Source,
     picture: &DynamicImage,
     args: &Args,
-) -> Result<Detections, Failure> {
-    let named = |e| Failure::about(source, &e);
-    let Some(file) = &args.dump_stages else {
-        return detector.detect(picture).map_err(named);
+) -> Result<(Detections, Stages), Failure> {
+    let result = match args.dump_stages {
+        Some(_) => detector.detect_with_stages(picture),
+        None => detector.detect(picture).map(|found| (found, Vec::new())),
     };
-    let (found, stages) = detector.detect_with_stages(picture).map_err(named)?;
+    result.map_err(|e| Failure::about(source, &e))
+}
+
+/// Writes the stages' tensors.
+fn dump(
+    outputs: &Outputs,
+    file: &Path,
+    detector: &GpuDetector,
+    source: &Source,
+    stages: &Stages,
+) -> Result<(), Failure> {
     let config = serde_json::to_string(detector.model())
         .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", file.display())))?;
     let metadata = HashMap::from([
@@ -192,8 +198,13 @@ fn look(
         ("adapter".to_owned(), detector.adapter().to_owned()),
         ("config".to_owned(), config),
     ]);
-    tensors::write(file, stages.iter().map(|(name, value)| (name.as_str(), value)), metadata)?;
-    Ok(found)
+    let stages = stages.iter().map(|(name, value)| (name.as_str(), value));
+    tensors::write(outputs, file, stages, metadata)
+}
+
+/// Tells why something was not written, and gives its share of the exit code.
+fn told(result: Result<(), Failure>) -> Exit {
+    result.map_or_else(|failure| failure.told().exit, |()| Exit::Done)
 }
 
 fn record<'a>(source: &Source, found: &'a Detections, adapter: &'a str) -> Record<'a> {
@@ -229,7 +240,7 @@ struct Table {
 
 impl Table {
     fn new(sources: &[Source]) -> Self {
-        let longest = sources.iter().map(|s| s.to_string().chars().count()).max();
+        let longest = sources.iter().map(|s| printable(s).chars().count()).max();
         Self { file_width: longest.unwrap_or(0).clamp(4, 48) }
     }
 
@@ -245,7 +256,7 @@ impl Table {
     }
 
     fn picture(&self, source: &Source, found: &Detections) -> Result<(), Failure> {
-        let file = source.to_string();
+        let file = printable(source);
         let w = self.file_width;
         if found.detections.is_empty() {
             return line(format!("{file:w$}  no snaps"));

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions};
+use smr_gpu::model::ModelConfig;
 use smr_gpu::{Config, Device, Error, GpuDetector};
 
 use super::exit::{Exit, Failure};
@@ -39,7 +40,7 @@ pub(super) struct DetectorArgs {
 
     /// Side of the network's input in pixels, a multiple of 32 [default: the weight file's]. Weights
     /// know snaps of one size in pixels: the further off, the fewer they find.
-    #[arg(long, value_name = "PIXELS")]
+    #[arg(long, value_name = "PIXELS", value_parser = input_size)]
     size: Option<usize>,
 
     /// Longest wait for one picture on a GPU, in seconds.
@@ -50,13 +51,29 @@ pub(super) struct DetectorArgs {
     device: DeviceArgs,
 }
 
-/// Parses a time of at least 0 s.
+/// Longest time limit: a day, which every clock and driver counts.
+const MAX_SECONDS: f64 = 86_400.0;
+
+/// Parses a time from 0 s to a day.
 ///
 /// # Errors
 /// In words, also for NaN.
 fn seconds(text: &str) -> Result<Duration, String> {
-    let expected = || "expected a number of seconds".to_owned();
-    Duration::try_from_secs_f64(text.parse().map_err(|_| expected())?).map_err(|_| expected())
+    let expected = || format!("expected a number of seconds from 0 to {MAX_SECONDS}");
+    let seconds: f64 = text.parse().map_err(|_| expected())?;
+    match (0.0..=MAX_SECONDS).contains(&seconds) {
+        true => Duration::try_from_secs_f64(seconds).map_err(|_| expected()),
+        false => Err(expected()),
+    }
+}
+
+/// Parses a side of the network's input.
+///
+/// # Errors
+/// In words.
+fn input_size(text: &str) -> Result<usize, String> {
+    let size = text.parse().ok().filter(|size| ModelConfig::is_input_size(*size));
+    size.ok_or_else(|| format!("expected {}", ModelConfig::INPUT_SIZES))
 }
 
 /// Parses a number from 0 to 1.

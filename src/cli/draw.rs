@@ -1,6 +1,7 @@
 //! Pictures with boxes, names and scores drawn in, and the folder they go to.
 
-use std::collections::HashSet;
+use std::collections::HashMap;
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use ab_glyph::FontRef;
@@ -8,9 +9,9 @@ use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
 use imageproc::drawing::{draw_filled_rect_mut, draw_text_mut, text_size};
 use imageproc::rect::Rect;
 use smr_gpu::Detection;
+use smr_gpu::files::{self, Outputs};
 
-use super::exit::Failure;
-use super::output::cannot_write;
+use super::exit::{Exit, Failure};
 use super::source::Source;
 
 const FONT: &[u8] = include_bytes!("../../assets/font/DejaVuSans-Bold.ttf");
@@ -106,58 +107,61 @@ fn fill(canvas: &mut RgbImage, x: i32, y: i32, width: i32, height: i32, colour: 
 /// The folder of `--save`.
 pub(super) struct Gallery {
     folder: PathBuf,
-    /// Files that must stay: those written, and the pictures themselves.
-    taken: HashSet<PathBuf>,
+    /// How often a name was asked for.
+    numbers: HashMap<String, u32>,
 }
 
 impl Gallery {
-    /// Creates the folder, in which no picture of `sources` will be overwritten.
+    /// Creates the folder.
     ///
     /// # Errors
-    /// `Exit::Output`.
-    pub fn create(folder: &Path, sources: &[Source]) -> Result<Self, Failure> {
-        std::fs::create_dir_all(folder).map_err(|e| cannot_write(folder, e))?;
-        let folder = folder.canonicalize().map_err(|e| cannot_write(folder, e))?;
-        let taken = sources.iter().filter_map(|s| match s {
-            Source::File(path) => path.canonicalize().ok(),
-            Source::Stdin => None,
-        });
-        let taken = taken.collect();
-        Ok(Self { folder, taken })
+    /// [`Exit::Output`].
+    pub fn create(folder: &Path) -> Result<Self, Failure> {
+        std::fs::create_dir_all(folder).map_err(|e| {
+            Failure::new(Exit::Output, format!("{}: cannot write: {e}", folder.display()))
+        })?;
+        Ok(Self { folder: folder.into(), numbers: HashMap::new() })
     }
 
     /// Writes a drawn picture under its source's name as PNG, with a number where that name is
-    /// taken.
+    /// taken; from then on `outputs` spares it.
     ///
     /// # Errors
-    /// `Exit::Output`.
-    pub fn save(&mut self, source: &Source, picture: &RgbImage) -> Result<(), Failure> {
+    /// [`Exit::Output`].
+    pub fn save(
+        &mut self,
+        outputs: &mut Outputs,
+        source: &Source,
+        picture: &RgbImage,
+    ) -> Result<(), Failure> {
         let stem = match source {
             Source::File(path) => path.file_stem().map(|s| s.to_string_lossy().into_owned()),
             Source::Stdin => Some("stdin".into()),
         };
-        let path = self.free_name(&stem.unwrap_or_else(|| "picture".into()));
-        // Renamed into place: what a name was a link to stays as it is.
-        let unfinished = path.with_extension("unfinished");
+        let path = self.free_name(outputs, stem.unwrap_or_else(|| "picture".into()))?;
+        let mut png = Cursor::new(Vec::new());
         picture
-            .save_with_format(&unfinished, ImageFormat::Png)
-            .map_err(|e| cannot_write(&unfinished, e))?;
-        std::fs::rename(&unfinished, &path).map_err(|e| cannot_write(&path, e))
+            .write_to(&mut png, ImageFormat::Png)
+            .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", path.display())))?;
+        outputs.write(&path, png.get_ref())?;
+        outputs.spare(&path);
+        Ok(())
     }
 
-    fn free_name(&mut self, stem: &str) -> PathBuf {
-        let mut number = 1;
+    /// A name for a file that may be written: an earlier run's picture is replaced.
+    fn free_name(&mut self, outputs: &Outputs, stem: String) -> Result<PathBuf, files::Error> {
+        let number = self.numbers.entry(stem.clone()).or_default();
         loop {
-            let name = match number {
+            *number += 1;
+            let name = match *number {
                 1 => format!("{stem}.png"),
                 n => format!("{stem}-{n}.png"),
             };
             let path = self.folder.join(name);
-            // A link to a source is a source.
-            if self.taken.insert(path.canonicalize().unwrap_or_else(|_| path.clone())) {
-                return path;
+            match outputs.check(&path) {
+                Err(files::Error::Input { .. } | files::Error::NotReplaceable { .. }) => {}
+                other => return other.map(|()| path),
             }
-            number += 1;
         }
     }
 }
@@ -227,9 +231,10 @@ mod tests {
         let original = folder.path().join("x.png");
         std::fs::write(&original, "mine").expect("written");
         let sources = [Source::File(original.clone()), Source::File("other/x.jpg".into())];
-        let mut gallery = Gallery::create(folder.path(), &sources).expect("created");
+        let mut outputs = Outputs::sparing([&original]);
+        let mut gallery = Gallery::create(folder.path()).expect("created");
         for source in &sources {
-            gallery.save(source, &RgbImage::new(1, 1)).expect("saved");
+            gallery.save(&mut outputs, source, &RgbImage::new(1, 1)).expect("saved");
         }
         assert_eq!(std::fs::read(&original).expect("kept"), b"mine");
         assert!(folder.path().join("x-2.png").exists() && folder.path().join("x-3.png").exists());

@@ -1,15 +1,16 @@
 //! `smr-gpu eval`: how good the detections are on labelled pictures.
 
 use std::collections::HashMap;
-use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
+use smr_gpu::coco::{self, Picture};
+use smr_gpu::files;
 use smr_gpu::metrics::{
-    self, PictureBoxes, ScoredBox, average_precision, average_precision_50_95, quantile,
+    self, Areas, PictureBoxes, ScoredBox, Truth, average_precision, average_precision_50_95,
+    quantile,
 };
-use smr_gpu::model::ModelConfig;
 use smr_gpu::{Detections, GpuDetector};
 
 use super::detector::{self, DetectorArgs, fraction};
@@ -20,6 +21,8 @@ use super::source::Source;
 
 /// Average precision looks at detections down to this score, the convention of Faster R-CNN.
 const LEAST_SCORE: f32 = 0.05;
+/// Longest annotations.json: COCO's own of 118 thousand pictures is half as long.
+const MAX_ANNOTATIONS: u64 = 1 << 30;
 /// A box is right if it overlaps the truth by this much.
 const RIGHT_IOU: f64 = 0.5;
 /// The paper's results by class, in percent: mean IoU and mean average precision.
@@ -29,7 +32,7 @@ const PAPER: [(&str, f64, f64); 2] = [("A", 91.78, 99.3), ("B", 92.12, 99.4)];
 ///
 /// Reads DIR/annotations.json (COCO) and the pictures it names, in DIR or DIR/images. For each
 /// class: mean best-box IoU (a miss counts 0), AP50, AP50:95 as the COCO evaluation defines them,
-/// and the centre error of the right boxes.
+/// and the centre error of the right boxes. Crowds are ignored, and so is what is found there.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Folder with annotations.json and the pictures.
@@ -41,9 +44,13 @@ pub(super) struct Args {
     #[arg(long, default_value_t = 0.5, value_name = "SCORE", value_parser = fraction)]
     conf: f32,
 
-    /// Look at the first N pictures alone.
-    #[arg(long, value_name = "N")]
-    limit: Option<NonZeroUsize>,
+    /// Look at the N pictures with the lowest ids alone.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    limit: Option<u32>,
+
+    /// Show the paper's figures beside those of the classes A and B.
+    #[arg(long)]
+    paper: bool,
 
     /// Print one JSON object.
     #[arg(long)]
@@ -53,40 +60,17 @@ pub(super) struct Args {
     detector: DetectorArgs,
 }
 
-#[derive(Deserialize)]
-struct Coco {
-    images: Vec<CocoImage>,
-    annotations: Vec<CocoAnnotation>,
-    categories: Vec<CocoCategory>,
-}
-
-#[derive(Deserialize)]
-struct CocoImage {
-    id: u64,
-    file_name: String,
-    width: Option<u32>,
-    height: Option<u32>,
-}
-
-#[derive(Deserialize)]
-struct CocoAnnotation {
-    image_id: u64,
-    category_id: u64,
-    /// Left, top, width, height in pixels.
-    bbox: [f64; 4],
-}
-
-#[derive(Deserialize)]
-struct CocoCategory {
-    id: u64,
-    name: String,
-}
-
-/// A labelled picture: its file and the boxes in it, each with the index of its class.
+/// A labelled picture: where it is, and what it shows, by class.
 struct Labelled {
     source: Source,
-    size: Option<(u32, u32)>,
-    truths: Vec<(usize, [f64; 4])>,
+    picture: Picture,
+    truths: Vec<Vec<Truth>>,
+}
+
+/// What a picture shows of a class and what was found, in pixels, and how large a pixel is.
+struct Seen {
+    boxes: Vec<PictureBoxes>,
+    mm_per_pixel: Vec<f64>,
 }
 
 /// Figures of one class, or of all together.
@@ -102,6 +86,7 @@ struct Row {
     right: usize,
     /// Boxes above the threshold that are on no snap.
     false_alarms: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
     paper: Option<Paper>,
 }
 
@@ -136,18 +121,21 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let detector = detector::open(config)?;
     let classes = detector.model().classes.clone();
     let mut pictures = read_labels(&args.data, &classes)?;
-    pictures.truncate(args.limit.map_or(usize::MAX, NonZeroUsize::get));
+    pictures.truncate(args.limit.map_or(usize::MAX, |n| n as usize));
 
-    // By class, then by picture.
-    let mut boxes: Vec<Vec<PictureBoxes>> = vec![Vec::new(); classes.len()];
+    let mut seen: Vec<Seen> =
+        classes.iter().map(|_| Seen { boxes: vec![], mm_per_pixel: vec![] }).collect();
     let (mut failed, mut seconds) = (0, 0.0);
     let progress = ProgressBar::new(pictures.len() as u64).with_style(style());
     for labelled in &pictures {
         match look(&detector, labelled) {
             Ok(found) => {
                 seconds += found.wall.as_secs_f64();
-                for (index, boxes) in boxes.iter_mut().enumerate() {
-                    boxes.push(of_class(index, detector.model(), labelled, &found));
+                let side = found.width.min(found.height);
+                let mm_per_pixel = f64::from(detector.model().mm_per_pixel_of(side));
+                for ((seen, class), truths) in seen.iter_mut().zip(&classes).zip(&labelled.truths) {
+                    seen.boxes.push(of_class(class, truths, &found));
+                    seen.mm_per_pixel.push(mm_per_pixel);
                 }
             }
             Err(Failure { exit: Exit::Inputs, message }) => {
@@ -161,8 +149,17 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     progress.finish_and_clear();
 
     let conf = f64::from(args.conf);
-    let rows: Vec<Row> = classes.iter().zip(&boxes).map(|(c, b)| row(c, &[b], conf)).collect();
-    let all = row("all", &boxes.iter().collect::<Vec<_>>(), conf);
+    let paper = |class: &str| PAPER.iter().find(|(c, ..)| args.paper && *c == class);
+    let rows: Vec<Row> = classes
+        .iter()
+        .zip(&seen)
+        .map(|(class, seen)| {
+            let paper =
+                paper(class).map(|(_, iou, map)| Paper { mean_iou: iou / 100.0, map: map / 100.0 });
+            Row { paper, ..row(class, std::slice::from_ref(seen), conf) }
+        })
+        .collect();
+    let all = row("all", &seen, conf);
     let looked_at = pictures.len() - failed;
     let report = Report {
         pictures: looked_at,
@@ -186,97 +183,71 @@ fn style() -> ProgressStyle {
         .unwrap_or_else(|_| ProgressStyle::default_bar())
 }
 
+/// The pictures of a folder, by their ids, with what they show of the weights' `classes`.
 fn read_labels(folder: &Path, classes: &[String]) -> Result<Vec<Labelled>, Failure> {
     let file = folder.join("annotations.json");
     let failed =
         |message: String| Failure::new(Exit::Inputs, format!("{}: {message}", file.display()));
-    let text = std::fs::read(&file).map_err(|e| failed(e.to_string()))?;
-    let coco: Coco = serde_json::from_slice(&text)
-        .map_err(|e| failed(format!("expected COCO annotations, got an error: {e}")))?;
-    let mut class_of = HashMap::new();
-    for category in &coco.categories {
-        let index = classes.iter().position(|c| c.eq_ignore_ascii_case(&category.name));
-        class_of.insert(category.id, index.ok_or(&category.name));
-    }
-    if coco.images.is_empty() {
-        return Err(failed("images: expected at least one, got none".into()));
-    }
-    let mut pictures: Vec<Labelled> = Vec::with_capacity(coco.images.len());
-    let mut position_of = HashMap::new();
-    for image in coco.images {
-        if position_of.insert(image.id, pictures.len()).is_some() {
-            return Err(failed(format!("image: expected each id once, got {} twice", image.id)));
+    let bytes = files::read(&file, MAX_ANNOTATIONS).map_err(|e| failed(e.to_string()))?;
+    let dataset = coco::parse(&bytes).map_err(|e| failed(e.to_string()))?;
+    let class_of: Vec<Option<usize>> = dataset
+        .categories
+        .iter()
+        .map(|name| classes.iter().position(|class| class.to_lowercase() == name.to_lowercase()))
+        .collect();
+    let mut image_of = HashMap::new();
+    let labelled = dataset.pictures.into_iter().map(|picture| {
+        let mut truths = vec![Vec::new(); classes.len()];
+        for label in &picture.labels {
+            // Tools list categories that no annotation uses.
+            let class = class_of[label.category].ok_or_else(|| {
+                let (expected, got) = (classes.join(", "), &dataset.categories[label.category]);
+                failed(format!("category: expected one of the weights' {expected}; got `{got}`"))
+            })?;
+            truths[class].push(label.truth);
         }
-        let direct = folder.join(&image.file_name);
-        let path =
-            if direct.exists() { direct } else { folder.join("images").join(&image.file_name) };
-        pictures.push(Labelled {
-            source: Source::File(path),
-            size: image.width.zip(image.height),
-            truths: Vec::new(),
-        });
-    }
-    for annotation in coco.annotations {
-        let CocoAnnotation { image_id, category_id, bbox: [x, y, width, height] } = annotation;
-        let position = position_of.get(&image_id);
-        let position = position
-            .ok_or_else(|| failed(format!("annotation: no image has the id {image_id}")))?;
-        let class = class_of.get(&category_id);
-        let class = class
-            .ok_or_else(|| failed(format!("annotation: no category has the id {category_id}")))?;
-        // Tools list categories that no annotation uses.
-        let class = class.map_err(|got| {
-            let expected = classes.join(", ");
-            failed(format!("category: expected one of the weights' {expected}; got `{got}`"))
-        })?;
-        pictures[*position].truths.push((class, [x, y, x + width, y + height]));
-    }
-    Ok(pictures)
+        let direct = folder.join(&picture.file);
+        let path = if direct.exists() { direct } else { folder.join("images").join(&picture.file) };
+        // One file may have two names; where there is none, reading tells.
+        if let Ok(one) = path.canonicalize()
+            && let Some(other) = image_of.insert(one, picture.id)
+        {
+            let (id, path) = (picture.id, path.display());
+            return Err(failed(format!(
+                "image {id}: expected a file of its own, got {path}, which is image {other}'s"
+            )));
+        }
+        Ok(Labelled { source: Source::File(path), picture, truths })
+    });
+    labelled.collect()
 }
 
 fn look(detector: &GpuDetector, labelled: &Labelled) -> Result<Detections, Failure> {
-    let Labelled { source, size, .. } = labelled;
+    let source = &labelled.source;
     let failed = |message| Failure::new(Exit::Inputs, format!("{source}: {message}"));
     let picture = picture::read(source).map_err(failed)?;
-    let (w, h) = (picture.width(), picture.height());
-    match size {
-        Some((x, y)) if (*x, *y) != (w, h) => {
-            return Err(failed(format!("expected {x} × {y} pixels as labelled, got {w} × {h}")));
-        }
-        _ => {}
-    }
+    let checked = labelled.picture.check_size(picture.width(), picture.height());
+    checked.map_err(|e| failed(e.to_string()))?;
     detector.detect(&picture).map_err(|e| Failure::about(source, &e))
 }
 
-/// The boxes of one class in millimetres: overlaps do not depend on the unit, centre errors do.
-fn of_class(
-    index: usize,
-    model: &ModelConfig,
-    labelled: &Labelled,
-    found: &Detections,
-) -> PictureBoxes {
-    let class = &model.classes[index];
-    let mm = f64::from(model.mm_per_pixel_of(found.width.min(found.height)));
-    let truths =
-        labelled.truths.iter().filter(|(c, _)| *c == index).map(|(_, b)| b.map(|x| x * mm));
-    let found = found
-        .detections
-        .iter()
-        .filter(|d| d.class == *class)
-        .map(|d| ScoredBox { bbox: d.bbox.map(|x| f64::from(x) * mm), score: f64::from(d.score) });
-    PictureBoxes { truths: truths.collect(), found: found.collect() }
+/// What a picture shows of a class, and what was found of it.
+fn of_class(class: &str, truths: &[Truth], found: &Detections) -> PictureBoxes {
+    let found = found.detections.iter().filter(|d| d.class == class);
+    let found = found.map(|d| ScoredBox { bbox: d.bbox.map(f64::from), score: d.score.into() });
+    PictureBoxes { truths: truths.to_vec(), found: found.collect() }
 }
 
-/// Figures over the classes of `boxes`: overlaps and errors over all their snaps, average
-/// precision as the mean of theirs.
-fn row(class: &str, boxes: &[&Vec<PictureBoxes>], conf: f64) -> Row {
+/// Figures over the classes of `seen`: overlaps and errors over all their snaps, average precision
+/// as the mean of theirs.
+fn row(class: &str, seen: &[Seen], conf: f64) -> Row {
     let (mut overlaps, mut errors, mut false_alarms) = (Vec::new(), Vec::new(), 0);
-    for picture in boxes.iter().copied().flatten() {
-        for (truth, best) in picture.truths.iter().zip(picture.best(conf)) {
+    for (picture, mm) in seen.iter().flat_map(|s| s.boxes.iter().zip(&s.mm_per_pixel)) {
+        for (truth, best) in picture.best(conf) {
             overlaps.push(best.map_or(0.0, |(_, iou)| iou));
             if let Some((found, _)) = best.filter(|(_, iou)| *iou >= RIGHT_IOU) {
-                let ([x, y], [u, v]) = (metrics::center(*truth), metrics::center(found.bbox));
-                errors.push((x - u).hypot(y - v));
+                let ([x, y], [u, v]) = (metrics::center(truth.bbox), metrics::center(found.bbox));
+                errors.push((x - u).hypot(y - v) * mm);
             }
         }
         false_alarms += picture.false_alarms(conf, RIGHT_IOU);
@@ -287,15 +258,15 @@ fn row(class: &str, boxes: &[&Vec<PictureBoxes>], conf: f64) -> Row {
     };
     // Whatever `--conf` is.
     let above = |picture: &PictureBoxes| picture.above(LEAST_SCORE.into());
-    let scored: Vec<Vec<_>> = boxes.iter().map(|b| b.iter().map(above).collect()).collect();
+    let scored: Vec<Vec<_>> = seen.iter().map(|s| s.boxes.iter().map(above).collect()).collect();
     let over_classes = |ap: &dyn Fn(&[PictureBoxes]) -> Option<f64>| {
         mean(scored.iter().filter_map(|b| ap(b)).collect())
     };
     Row {
         class: class.into(),
         snaps: overlaps.len(),
-        ap50: over_classes(&|b| average_precision(b, RIGHT_IOU)),
-        ap50_95: over_classes(&|b| average_precision_50_95(b)),
+        ap50: over_classes(&|b| average_precision(b, RIGHT_IOU, Areas::ALL)),
+        ap50_95: over_classes(&|b| average_precision_50_95(b, Areas::ALL)),
         center_error_mm: CenterError {
             median: quantile(&errors, 0.5),
             percentile_95: quantile(&errors, 0.95),
@@ -303,10 +274,7 @@ fn row(class: &str, boxes: &[&Vec<PictureBoxes>], conf: f64) -> Row {
         right: errors.len(),
         false_alarms,
         mean_best_iou: mean(overlaps),
-        paper: PAPER
-            .iter()
-            .find(|(c, ..)| c.eq_ignore_ascii_case(class))
-            .map(|(_, mean_iou, map)| Paper { mean_iou: mean_iou / 100.0, map: map / 100.0 }),
+        paper: None,
     }
 }
 
@@ -346,10 +314,13 @@ fn print(report: &Report) -> Result<(), Failure> {
             line(format!("{:<8} {:>6} {iou:>8} {map:>8}", "  paper", ""))?;
         }
     }
+    let paper = match report.classes.iter().any(|row| row.paper.is_some()) {
+        true => "; the paper's figures are its mean IoU and mAP on its own pictures",
+        false => "",
+    };
     tell(format!(
         "{} pictures on {}, {:.3} s each; IoU, centre errors and false boxes of detections above a \
-         score of {}, average precision above {LEAST_SCORE}; the paper's figures are its mean IoU \
-         and mAP on its own pictures",
+         score of {}, average precision above {LEAST_SCORE}{paper}",
         report.pictures, report.adapter, report.seconds_per_picture, report.conf
     ));
     Ok(())

@@ -2,17 +2,17 @@
 
 use std::fmt::Display;
 
-use smr_gpu::Error;
+use smr_gpu::{Error, files};
 
 use super::output::tell;
 
 /// Shown below `--help`.
 pub(super) const HELP: &str = "\
 Exit codes: 0 done, 1 some inputs failed, 2 usage, 3 weights, 4 no device, 5 device lost or timed \
-out, 6 output";
+out, 6 some output could not be written, 141 stdout's reader went away";
 
-/// How the program ends.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// How the program ends; of two that came up on the way, the greater counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 pub(super) enum Exit {
     /// All was done.
@@ -29,6 +29,8 @@ pub(super) enum Exit {
     Lost = 5,
     /// An output cannot be written.
     Output = 6,
+    /// Stdout's reader went away before the end: what shells show of a program that SIGPIPE ends.
+    Pipe = 141,
 }
 
 /// Why a command stops before its end.
@@ -57,6 +59,16 @@ impl Failure {
 
     pub fn usage(message: impl Display) -> Self {
         Self::new(Exit::Usage, message)
+    }
+}
+
+impl From<files::Error> for Failure {
+    fn from(error: files::Error) -> Self {
+        let exit = match error {
+            files::Error::Input { .. } => Exit::Usage,
+            _ => Exit::Output,
+        };
+        Self::new(exit, error)
     }
 }
 

@@ -14,15 +14,19 @@ mod exit;
 mod op;
 mod output;
 mod picture;
+mod printable;
 mod simulate;
 mod source;
+mod stdout;
 mod tensors;
 
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use smr_gpu::picture::is_decoding;
 
-use exit::Failure;
+use exit::{Exit, Failure};
 
 /// Finds snap joints in pictures of a GelSight-like tactile sensor, on any GPU.
 #[derive(Debug, Parser)]
@@ -40,27 +44,56 @@ enum Command {
     Op(op::Args),
     Check(check::Args),
     Compare(compare::Args),
-    Simulate(simulate::Args),
+    Simulate(Box<simulate::Args>),
     Calibrate(calibrate::Args),
 }
 
 /// Runs the program.
 pub(crate) fn run() -> ExitCode {
-    let result = match Cli::parse().command {
-        Command::Detect(args) => detect::run(args),
-        Command::Devices(args) => devices::run(args),
-        Command::Eval(args) => eval::run(args),
-        Command::Op(args) => op::run(args),
-        Command::Check(args) => check::run(args),
-        Command::Compare(args) => compare::run(args),
-        Command::Simulate(args) => simulate::run(args),
-        Command::Calibrate(args) => calibrate::run(args),
-    };
-    let exit = result.unwrap_or_else(|Failure { exit, message }| {
+    hush_decoders();
+    let exit = parse_and_run().unwrap_or_else(|Failure { exit, message }| {
         if let Some(message) = message {
             output::tell(message);
         }
         exit
     });
     ExitCode::from(exit as u8)
+}
+
+fn parse_and_run() -> Result<Exit, Failure> {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(e) if e.use_stderr() => {
+            // It repeats the arguments, which the shell may have made of file names.
+            let text = e.to_string();
+            let lines: Vec<_> = text.lines().map(printable::printable).collect();
+            let _ = writeln!(std::io::stderr(), "{}", lines.join("\n"));
+            return Ok(Exit::Usage);
+        }
+        // Help or version.
+        Err(e) => {
+            output::to_stdout(|| e.print().and_then(|()| std::io::stdout().flush()))?;
+            return Ok(Exit::Done);
+        }
+    };
+    match cli.command {
+        Command::Detect(args) => detect::run(args),
+        Command::Devices(args) => devices::run(args),
+        Command::Eval(args) => eval::run(args),
+        Command::Op(args) => op::run(args),
+        Command::Check(args) => check::run(args),
+        Command::Compare(args) => compare::run(args),
+        Command::Simulate(args) => simulate::run(*args),
+        Command::Calibrate(args) => calibrate::run(args),
+    }
+}
+
+/// A decoder's panic becomes its picture's error, and is no news of its own.
+fn hush_decoders() {
+    let tell = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        if !is_decoding() {
+            tell(panic);
+        }
+    }));
 }

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
 
+use smr_gpu::files::Outputs;
 use smr_gpu::ops::{self, Entry, Op, Param, Params, case};
 use smr_gpu::tensor::Value;
 use smr_gpu::{Device, Error};
@@ -66,6 +67,8 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     if params.len() < args.params.len() {
         return Err(Failure::usage("--param: expected each key once, got one several times"));
     }
+    let files = Outputs::sparing([input]);
+    files.check(output)?;
     let mut tensors = tensors::read(input)?;
     let present: Vec<&str> = tensors.keys().map(String::as_str).collect();
     let mut params = Params::new(name, params);
@@ -75,7 +78,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         .map_err(|e| Failure::new(Exit::Inputs, format!("{}: {e}", input.display())))?;
     let outputs = compute(op.as_ref(), &inputs, &args.device.device)?;
     let named = op.outputs().into_iter().zip(&outputs);
-    tensors::write(output, named, HashMap::new())?;
+    tensors::write(&files, output, named, HashMap::new())?;
     Ok(Exit::Done)
 }
 
@@ -84,14 +87,14 @@ fn list(entry: &Entry) -> Result<(), Failure> {
     line(entry.name)?;
     line(format!("   takes   {}", entry.takes))?;
     line(format!("   gives   {}", entry.gives))?;
-    if entry.params.is_empty() {
-        return Ok(());
+    for param in entry.params.iter().filter(|p| !p.by_tensors) {
+        let Param { name, value, range, .. } = param;
+        line(match param.required {
+            true => format!("   param   {name}: {range}; required, such as {value}"),
+            false => format!("   param   {name}={value}: {range}"),
+        })?;
     }
-    let text = |p: &Param| match p.required {
-        true => format!("{} (required, such as {})", p.name, p.value),
-        false => format!("{}={}", p.name, p.value),
-    };
-    line(format!("   params  {}", entry.params.iter().map(text).collect::<Vec<_>>().join(", ")))
+    Ok(())
 }
 
 /// The operation's inputs in its order; every tensor of the file must be one.
@@ -118,7 +121,7 @@ fn compute(op: &dyn Op, inputs: &[Value], device: &Device) -> Result<Vec<Value>,
         return Err(Error::Capacity { what, needed, available: MAX_OUTPUT_BYTES }.into());
     }
     Ok(match open_gpu(device)? {
-        Some(gpu) => case::run_op(&gpu, op, inputs, false)?,
+        Some(gpu) => case::run_op(&gpu, op, inputs)?,
         None => op.reference(&inputs.iter().collect::<Vec<_>>())?,
     })
 }

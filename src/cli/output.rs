@@ -2,41 +2,55 @@
 
 use std::fmt::Display;
 use std::io::{ErrorKind, Write};
-use std::path::Path;
 
 use serde::Serialize;
 
 use super::exit::{Exit, Failure};
+use super::printable::printable;
+use super::stdout;
 
-/// Tells the user something on stderr.
+/// Tells the user something on stderr, in one line.
 pub(super) fn tell(message: impl Display) {
     // If stderr is gone, nobody is left to be told.
-    let _ = writeln!(std::io::stderr(), "smr-gpu: {message}");
+    let _ = writeln!(std::io::stderr(), "smr-gpu: {}", printable(message));
 }
 
-/// Writes a line to stdout.
+/// Writes a line for people to stdout.
 ///
 /// # Errors
-/// [`Exit::Output`]; a reader that went away, as `head` does, ends the program quietly.
+/// [`Exit::Output`] if it cannot be written, also if stdout was closed from the start; a reader
+/// that went away, as `head` does, ends the program quietly with [`Exit::Pipe`].
 pub(super) fn line(text: impl Display) -> Result<(), Failure> {
-    let mut stdout = std::io::stdout().lock();
-    writeln!(stdout, "{text}").and_then(|()| stdout.flush()).map_err(|e| match e.kind() {
-        ErrorKind::BrokenPipe => Failure { exit: Exit::Done, message: None },
+    raw_line(printable(text))
+}
+
+fn raw_line(text: String) -> Result<(), Failure> {
+    to_stdout(|| {
+        let mut stdout = std::io::stdout().lock();
+        writeln!(stdout, "{text}").and_then(|()| stdout.flush())
+    })
+}
+
+/// Runs what writes to stdout.
+///
+/// # Errors
+/// As [`line`].
+pub(super) fn to_stdout(write: impl FnOnce() -> std::io::Result<()>) -> Result<(), Failure> {
+    if stdout::was_closed() {
+        return Err(Failure::new(Exit::Output, "stdout: closed, nothing can be written"));
+    }
+    write().map_err(|e| match e.kind() {
+        ErrorKind::BrokenPipe => Failure { exit: Exit::Pipe, message: None },
         _ => Failure::new(Exit::Output, format!("stdout: {e}")),
     })
 }
 
-/// Writes a JSON value as one line to stdout.
+/// Writes a JSON value as one line to stdout; JSON escapes what it must by itself.
 ///
 /// # Errors
 /// As [`line`].
 pub(super) fn json_line(value: &impl Serialize) -> Result<(), Failure> {
     let text = serde_json::to_string(value)
         .map_err(|e| Failure::new(Exit::Output, format!("stdout: {e}")))?;
-    line(text)
-}
-
-/// A failure to write `path`.
-pub(super) fn cannot_write(path: &Path, error: impl Display) -> Failure {
-    Failure::new(Exit::Output, format!("{}: cannot write: {error}", path.display()))
+    raw_line(text)
 }

@@ -1,11 +1,15 @@
 //! `smr-gpu simulate`: data sets of simulated pictures.
 
 use std::path::PathBuf;
+use std::sync::Once;
 
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use smr_gpu::sensor::Error;
-use smr_gpu::sensor::dataset::{self, Settings};
+use smr_gpu::sensor::conditions::{Distribution, Forced};
+use smr_gpu::sensor::dataset::{self, Progress, Settings, Step};
+use smr_gpu::sensor::distractors::Part;
+use smr_gpu::sensor::render::Request;
 use smr_gpu::sensor::scene::Mix;
 
 use super::exit::{Exit, Failure};
@@ -13,10 +17,10 @@ use super::output::tell;
 
 /// Simulate pictures of snaps pressed into the sensor's gel
 ///
-/// Writes DIR/images/000000.png and so on, 1000×1000 pixels, and DIR/annotations.json (COCO). The
-/// same seed gives the same pictures, whatever the number of threads. Different seeds share no
-/// scene: give training, validation and test sets each their own. Called again with the same
-/// options, a run that was cut off goes on where it stopped.
+/// Writes DIR/images/000000.png and so on, and DIR/annotations.json (COCO). The same seed gives the
+/// same pictures, whatever the number of threads. Different seeds share no scene: give training,
+/// validation and test sets each their own. Called again with the same options, a run that was cut
+/// off goes on where it stopped.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Folder to write to.
@@ -34,6 +38,85 @@ pub(super) struct Args {
     /// Which snaps the pictures show.
     #[arg(long, value_enum, default_value_t = Kind::Mixed)]
     kind: Kind,
+
+    /// From what frames, light, wear and parts are drawn.
+    #[arg(long, value_enum, default_value_t = Conditions::Plain)]
+    conditions: Conditions,
+
+    /// Narrow what is no snap to one kind (wide conditions).
+    #[arg(long, value_enum)]
+    part: Option<PartName>,
+
+    /// Set conditions for all pictures, KEY or KEY=VALUE, separated by commas (wide conditions).
+    ///
+    /// Numbers may be ranges, as in strength=2..4. mild: whatever is not set is as on the paper's
+    /// sensor. frame=paper, gelsight-mini or WIDTHxHEIGHT@MM_PER_PIXEL; scale; optics=measured or
+    /// lamps; strength (of the shading, 1 is the paper's); shadows; colour; exposure; markers (pitch
+    /// in mm); mottle; jpeg; blur; vignetting; housing; distortion; snr (dB); gel (mm);
+    /// mechanics=elastic or smoothed; wall; side; cut; touching; slots; hole (mm); depth (mm).
+    #[arg(long, value_name = "KEY[=VALUE],…", default_value = "", hide_default_value = true)]
+    force: Forced,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Conditions {
+    /// The paper's sensor: 1000×1000 pixels at 0.04 mm.
+    Plain,
+    /// Sensors of many kinds: frames, fields of 10 to 60 mm, lamps, shadows, markers, look-alikes.
+    Wide,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum PartName {
+    /// A hook without its barb.
+    Arm,
+    /// A plain block.
+    Block,
+    /// A block of two steps.
+    Tab,
+    /// A ring without slots.
+    Ring,
+    /// A slotted, cross or hex screw.
+    Screw,
+    /// A nut.
+    Nut,
+    /// A ball.
+    Ball,
+    /// A roof or a wedge.
+    Prism,
+    /// An angle of two legs.
+    Bracket,
+    /// Raised letters.
+    Letters,
+    /// A straight bar.
+    Rib,
+    /// A straight edge.
+    Edge,
+    /// A round pin.
+    Pin,
+    /// Bare gel.
+    Nothing,
+}
+
+impl From<PartName> for Part {
+    fn from(name: PartName) -> Self {
+        match name {
+            PartName::Arm => Self::Arm,
+            PartName::Block => Self::Block,
+            PartName::Tab => Self::Tab,
+            PartName::Ring => Self::Ring,
+            PartName::Screw => Self::Screw,
+            PartName::Nut => Self::Nut,
+            PartName::Ball => Self::Ball,
+            PartName::Prism => Self::Prism,
+            PartName::Bracket => Self::Bracket,
+            PartName::Letters => Self::Letters,
+            PartName::Rib => Self::Rib,
+            PartName::Edge => Self::Edge,
+            PartName::Pin => Self::Pin,
+            PartName::Nothing => Self::Nothing,
+        }
+    }
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -60,12 +143,33 @@ impl From<Kind> for Mix {
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    let Args { out, count, seed, kind } = args;
-    let settings = Settings { out, count: count as usize, seed, mix: kind.into() };
+    let Args { out, count, seed, kind, conditions, part, force } = args;
+    if conditions == Conditions::Plain && (part.is_some() || force != Forced::default()) {
+        return Err(Failure::usage("--part and --force need --conditions wide"));
+    }
+    let conditions = match conditions {
+        Conditions::Plain => Distribution::Plain,
+        Conditions::Wide => Distribution::Wide,
+    };
+    let request =
+        Request { mix: kind.into(), conditions, part: part.map(Part::from), forced: force };
+    let settings = Settings { out, count: count as usize, seed, request };
     let bar = ProgressBar::new(count.into());
-    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} pictures, {eta} left");
+    let style = ProgressStyle::with_template("{msg} {bar:40} {pos}/{len} pictures, {eta} left");
     bar.set_style(style.map_err(|e| Failure::new(Exit::Output, e))?);
-    let result = dataset::simulate(&settings, &|done, _| {
+    let rendering = Once::new();
+    let result = dataset::simulate(&settings, &|Progress { step, done, all }| {
+        match step {
+            Step::Check => bar.set_message("checking"),
+            // The time left is of this step alone.
+            Step::Render => rendering.call_once(|| {
+                bar.reset();
+                bar.set_message("rendering");
+                bar.set_position(done as u64);
+                bar.reset_eta();
+            }),
+        }
+        bar.set_length(all as u64);
         // Threads report out of order.
         bar.set_position(bar.position().max(done as u64));
     });
@@ -83,7 +187,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
 fn exit_of(error: &Error) -> Exit {
     match error {
         Error::OtherDataset { .. } => Exit::Usage,
-        // The simulator reads nothing but what it wrote.
+        // The simulator reads nothing but what it wrote, and another run may write there.
         _ => Exit::Output,
     }
 }

@@ -1,7 +1,10 @@
-//! What `detect` is pointed at: files, folders, patterns, stdin.
+//! What `detect` and `compare` are pointed at: files, folders, patterns, stdin.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
+
+use super::exit::{Exit, Failure};
+use super::output::tell;
 
 /// Endings of the picture files that are taken from a folder.
 const ENDINGS: [&str; 6] = ["png", "jpg", "jpeg", "bmp", "tif", "tiff"];
@@ -31,60 +34,95 @@ impl From<&Path> for Source {
     }
 }
 
-/// The pictures that an argument names: a file itself, a folder's pictures sorted by name, what a
-/// pattern matches, or stdin for `-`.
+/// What all of a command's arguments name. What cannot be read is told; then the exit code is
+/// [`Exit::Inputs`].
 ///
 /// # Errors
-/// A line that names the argument, if there is nothing.
-pub(super) fn expand(argument: &Path) -> Result<Vec<Source>, String> {
+/// [`Exit::Usage`] if stdin is named more than once.
+pub(super) fn expand_all(arguments: &[PathBuf]) -> Result<(Vec<Source>, Exit), Failure> {
+    let mut exit = Exit::Done;
+    let mut sources = Vec::new();
+    for found in arguments.iter().flat_map(|argument| expand(argument)) {
+        match found {
+            Ok(source) => sources.push(source),
+            Err(message) => {
+                tell(message);
+                exit = Exit::Inputs;
+            }
+        }
+    }
+    if sources.iter().filter(|s| **s == Source::Stdin).count() > 1 {
+        return Err(Failure::usage("`-`: expected once, got it several times"));
+    }
+    Ok((sources, exit))
+}
+
+/// The pictures that an argument names: a file itself, a folder's pictures sorted by name, what a
+/// pattern matches, or stdin for `-`. What cannot be listed is a line that names it.
+fn expand(argument: &Path) -> Vec<Result<Source, String>> {
     let source = Source::from(argument);
     if source == Source::Stdin {
-        return Ok(vec![source]);
+        return vec![Ok(source)];
     }
     if argument.is_dir() {
         return folder(argument);
     }
     let text = argument.to_string_lossy();
-    if !argument.exists() && text.contains(['*', '?', '[']) {
+    // A link that leads nowhere is there, too.
+    let is_there = argument.symlink_metadata().is_ok();
+    if !is_there && text.contains(['*', '?', '[']) {
         return pattern(&text);
     }
     // Reading tells why a file cannot be read.
-    Ok(vec![source])
+    vec![Ok(source)]
 }
 
-fn folder(path: &Path) -> Result<Vec<Source>, String> {
-    let failed = |e: std::io::Error| format!("{}: {e}", path.display());
+fn folder(path: &Path) -> Vec<Result<Source, String>> {
+    let failed = |e: std::io::Error| Err(format!("{}: {e}", path.display()));
+    let entries = match std::fs::read_dir(path) {
+        Ok(entries) => entries,
+        Err(e) => return vec![failed(e)],
+    };
     let mut files = Vec::new();
-    for entry in std::fs::read_dir(path).map_err(failed)? {
-        let file = entry.map_err(failed)?.path();
-        let ending = file.extension().map(|e| e.to_string_lossy().to_lowercase());
-        if ending.is_some_and(|e| ENDINGS.contains(&e.as_str())) && file.is_file() {
-            files.push(file);
+    let mut failures = Vec::new();
+    for entry in entries {
+        match entry {
+            Ok(entry) => files.push(entry.path()),
+            Err(e) => failures.push(failed(e)),
         }
     }
-    if files.is_empty() {
+    // Reading tells what is wrong with one that is no file.
+    files.retain(|file| {
+        let ending = file.extension().map(|e| e.to_string_lossy().to_lowercase());
+        ending.is_some_and(|e| ENDINGS.contains(&e.as_str())) && !file.is_dir()
+    });
+    if files.is_empty() && failures.is_empty() {
         let endings = ENDINGS.join(", ");
-        return Err(format!(
+        return vec![Err(format!(
             "{}: expected a folder with pictures ({endings}), found none",
             path.display()
-        ));
+        ))];
     }
     files.sort();
-    Ok(files.into_iter().map(Source::File).collect())
+    files.into_iter().map(|file| Ok(Source::File(file))).chain(failures).collect()
 }
 
-fn pattern(text: &str) -> Result<Vec<Source>, String> {
-    let paths = glob::glob(text).map_err(|e| format!("{text}: not a pattern: {e}"))?;
+fn pattern(text: &str) -> Vec<Result<Source, String>> {
+    let paths = match glob::glob(text) {
+        Ok(paths) => paths,
+        Err(e) => return vec![Err(format!("{text}: not a pattern: {e}"))],
+    };
     let mut sources = Vec::new();
     for path in paths {
-        let path = path.map_err(|e| format!("{text}: {e}"))?;
-        match path.is_dir() {
-            true => sources.extend(folder(&path)?),
-            false => sources.push(Source::File(path)),
+        match path {
+            Ok(path) if path.is_dir() => sources.extend(folder(&path)),
+            Ok(path) => sources.push(Ok(Source::File(path))),
+            Err(e) => sources.push(Err(format!("{text}: {e}"))),
         }
     }
     if sources.is_empty() {
-        return Err(format!("{text}: expected a pattern that matches files, it matches none"));
+        let message = format!("{text}: expected a pattern that matches files, it matches none");
+        sources.push(Err(message));
     }
-    Ok(sources)
+    sources
 }

@@ -5,11 +5,14 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use safetensors::{Dtype, SafeTensors, View};
+use smr_gpu::files::{self, Outputs};
 use smr_gpu::shape::{DType, Shape, TensorSpec};
 use smr_gpu::tensor::{Tensor, Value};
 
 use super::exit::{Exit, Failure};
-use super::output::cannot_write;
+
+/// Longest file that is read.
+const MAX_BYTES: u64 = 1 << 30;
 
 /// Reads every tensor of a file. F16 and F32 become f32; U32, I32 and I64 become u32.
 ///
@@ -18,7 +21,7 @@ use super::output::cannot_write;
 pub(super) fn read(path: &Path) -> Result<BTreeMap<String, Value>, Failure> {
     let failed =
         |message: String| Failure::new(Exit::Inputs, format!("{}: {message}", path.display()));
-    let bytes = std::fs::read(path).map_err(|e| failed(e.to_string()))?;
+    let bytes = files::read(path, MAX_BYTES).map_err(|e| failed(e.to_string()))?;
     let file = SafeTensors::deserialize(&bytes)
         .map_err(|e| failed(format!("expected a whole safetensors file, got an error: {e}")))?;
     file.iter()
@@ -56,16 +59,17 @@ fn indices<T: Copy + TryInto<u32> + std::fmt::Display>(values: Vec<T>) -> Result
 /// Writes tensors as F32 and U32.
 ///
 /// # Errors
-/// [`Exit::Output`].
+/// [`Exit::Usage`] for an input that `outputs` spares, else [`Exit::Output`].
 pub(super) fn write<'a>(
+    outputs: &Outputs,
     path: &Path,
     tensors: impl IntoIterator<Item = (&'a str, &'a Value)>,
     metadata: HashMap<String, String>,
 ) -> Result<(), Failure> {
     let tensors = tensors.into_iter().map(|(name, value)| (name, Stored::from(value)));
-    let bytes =
-        safetensors::serialize(tensors, Some(metadata)).map_err(|e| cannot_write(path, e))?;
-    std::fs::write(path, bytes).map_err(|e| cannot_write(path, e))
+    let bytes = safetensors::serialize(tensors, Some(metadata))
+        .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", path.display())))?;
+    Ok(outputs.write(path, &bytes)?)
 }
 
 /// A value as the safetensors crate wants to see it.

@@ -54,7 +54,7 @@ pub fn conv2d(
     if area == 0 {
         return output;
     }
-    output.data_mut().par_chunks_mut(area).enumerate().for_each(|(o, out)| {
+    let channel = |(o, out): (usize, &mut [f32])| {
         let mut sums = vec![bias.map_or(0.0, |b| f64::from(b.data()[o])); area];
         for i in 0..in_c {
             let plane = &input.data()[i * in_h * in_w..][..in_h * in_w];
@@ -81,11 +81,14 @@ pub fn conv2d(
             let value = sum + rest.map_or(0.0, |r| f64::from(r[at]));
             *out = if relu { shared::relu(value) } else { value } as f32;
         }
-    });
+    };
+    let channels = output.data_mut().par_chunks_mut(area).enumerate();
+    channels.for_each(|part| shared::vectorised(|| channel(part)));
     output
 }
 
 /// `sums[i] += w · row[i · stride]`, with stride 1 apart so that it becomes vector code.
+#[inline(always)]
 fn accumulate(sums: &mut [f64], row: &[f32], stride: usize, w: f64) {
     if stride == 1 {
         for (sum, x) in sums.iter_mut().zip(row) {

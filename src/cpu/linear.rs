@@ -10,15 +10,14 @@ use crate::tensor::Tensor;
 pub fn linear(input: &Tensor, weight: &Tensor, bias: &Tensor, rows: usize, relu: bool) -> Tensor {
     let [outputs, inner] = [0, 1].map(|i| weight.dims()[i]);
     let mut output = Tensor::zeros([rows, outputs]);
-    output.data_mut().par_chunks_mut(outputs).zip(input.data().par_chunks(inner)).for_each(
-        |(out, row)| {
-            let weights = weight.data().chunks_exact(inner);
-            for ((out, weights), bias) in out.iter_mut().zip(weights).zip(bias.data()) {
-                let products = weights.iter().zip(row).map(|(w, x)| f64::from(*w) * f64::from(*x));
-                let value = f64::from(*bias) + products.sum::<f64>();
-                *out = if relu { shared::relu(value) } else { value } as f32;
-            }
-        },
-    );
+    let row = |(out, row): (&mut [f32], &[f32])| {
+        let weights = weight.data().chunks_exact(inner);
+        for ((out, weights), bias) in out.iter_mut().zip(weights).zip(bias.data()) {
+            let value = f64::from(*bias) + shared::dot(weights, row);
+            *out = if relu { shared::relu(value) } else { value } as f32;
+        }
+    };
+    let rows = output.data_mut().par_chunks_mut(outputs).zip(input.data().par_chunks(inner));
+    rows.for_each(|part| shared::vectorised(|| row(part)));
     output
 }

@@ -41,7 +41,7 @@ pub use nms::{NmsRule, nms};
 pub use roi_align::{RoiGrid, roi_align};
 pub use scale_weights::scale_weights;
 pub use shared::boxes::{MAX_LOG_SCALE, decode_box, iou_above};
-pub use shared::sigmoid;
+pub use shared::{sigmoid, vectorised};
 pub use softmax::softmax;
 pub use spatial_gate::spatial_gate;
 pub use spatial_pool::spatial_pool;

@@ -86,6 +86,8 @@ pub struct Gpu {
     lost: Arc<Mutex<Option<String>>>,
     /// An error that no scope caught; without a handler it would end the process.
     uncaptured: Arc<Mutex<Option<String>>>,
+    /// Another text for one shader file; such a device compiles with bounds checks.
+    replacement: Option<shader::Replacement>,
     modules: Mutex<HashMap<&'static str, Arc<Module>>>,
     pipelines: Mutex<HashMap<PipelineKey, Arc<Pipeline>>>,
 }
@@ -123,8 +125,12 @@ async fn list() -> Vec<wgpu::Adapter> {
     found
 }
 
+/// The first adapter whose name has this part; a blank is a part of none.
 fn named<'a>(found: &'a [wgpu::Adapter], part: &str) -> Option<&'a wgpu::Adapter> {
-    let part = part.to_lowercase();
+    let part = part.trim().to_lowercase();
+    if part.is_empty() {
+        return None;
+    }
     found.iter().find(|a| a.get_info().name.to_lowercase().contains(&part))
 }
 
@@ -167,7 +173,9 @@ impl Gpu {
             found: match found.is_empty() {
                 true => "none was found".into(),
                 false => {
-                    format!("found {}", found.iter().map(describe).collect::<Vec<_>>().join(", "))
+                    let all = found.iter().map(describe).enumerate();
+                    let all: Vec<_> = all.map(|(i, name)| format!("{i}: {name}")).collect();
+                    format!("found {}", all.join(", "))
                 }
             },
         };
@@ -209,9 +217,27 @@ impl Gpu {
             options,
             lost,
             uncaptured,
+            replacement: None,
             modules: Mutex::default(),
             pipelines: Mutex::default(),
         }))
+    }
+
+    /// The same device with another text for one shader file: for tests that ask what a fault in a
+    /// shader would change, and for trying out a shader. Nothing vouches for that text, so this
+    /// device compiles every shader with bounds checks, whatever its options say.
+    pub fn with_replacement(&self, replacement: shader::Replacement) -> Arc<Self> {
+        Arc::new(Self {
+            device: self.device.clone(),
+            queue: self.queue.clone(),
+            info: self.info.clone(),
+            options: GpuOptions { checked: true, ..self.options.clone() },
+            lost: self.lost.clone(),
+            uncaptured: self.uncaptured.clone(),
+            replacement: Some(replacement),
+            modules: Mutex::default(),
+            pipelines: Mutex::default(),
+        })
     }
 
     /// The adapter's name, backend and driver.
@@ -273,7 +299,7 @@ impl Gpu {
         if let Some(module) = modules.get(shader.stem) {
             return Ok(module.clone());
         }
-        let reflection = shader::reflect(shader)?;
+        let reflection = shader::reflect_with(shader, self.replacement.as_ref())?;
         let desc = wgpu::ShaderModuleDescriptor {
             label: Some(shader.stem),
             source: wgpu::ShaderSource::Wgsl(reflection.text.as_str().into()),

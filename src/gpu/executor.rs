@@ -18,15 +18,44 @@ use crate::tensor::Value;
 const UNIFORM_ALIGN: usize = 256;
 /// Bytes behind each tensor that no shader may touch, where `PlanOptions::guard` is set.
 const GUARD_BYTES: u64 = 4 * 64;
-/// What guarded buffers are filled with before a run: a float NaN, and no plausible integer.
-pub const POISON: u32 = 0x7fc0_dead;
+
+/// What guarded buffers hold before a run. Each word differs with its tensor and place, so that a
+/// copied one shows too.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Poison {
+    /// Float NaNs: they show in whatever a sum or product makes of them, but arithmetic leaves them
+    /// as they are, and a maximum passes over them.
+    #[default]
+    Nan,
+    /// Floats of both signs, every other near 1 and huge: sums and products change the former, and
+    /// the latter win any maximum or minimum.
+    Finite,
+}
+
+impl Poison {
+    /// Word `at` of `tensor`.
+    pub fn word(self, tensor: TensorId, at: usize) -> u32 {
+        // The finalizer of MurmurHash3, which spreads each bit over all.
+        let mut hash = (tensor.0 as u32).wrapping_mul(0x9e37_79b9) ^ at as u32;
+        hash = (hash ^ hash >> 16).wrapping_mul(0x85eb_ca6b);
+        hash = (hash ^ hash >> 13).wrapping_mul(0xc2b2_ae35);
+        hash ^= hash >> 16;
+        match self {
+            // Quiet: a driver may set that bit when it moves a signalling one.
+            Self::Nan => 0x7fc0_0000 | hash & 0x003f_ffff,
+            Self::Finite if at.is_multiple_of(2) => 0x3f80_0000 | hash & 0x807f_ffff,
+            // About 1e30.
+            Self::Finite => 0x7180_0000 | hash & 0x807f_ffff,
+        }
+    }
+}
 
 /// How to build a plan.
 #[derive(Clone, Copy, Debug)]
 pub struct PlanOptions {
     /// Let tensors whose lifetimes do not overlap share a buffer.
     pub reuse: bool,
-    /// For tests: fill every computed tensor with NaN before each run and put NaN behind every
+    /// For tests: fill every computed tensor with [`Poison`] before each run and put it behind every
     /// tensor, which shows in the results where a shader reads it; fail if one was written.
     pub guard: bool,
     /// Time each stage on the device, where it can.
@@ -70,6 +99,13 @@ enum StepGrid {
     Indirect(wgpu::Buffer),
 }
 
+/// Words of a guarded buffer that hold poison before a run.
+struct Poisoned {
+    id: TensorId,
+    slot: usize,
+    words: std::ops::Range<usize>,
+}
+
 struct Output {
     id: TensorId,
     slot: usize,
@@ -86,8 +122,9 @@ pub struct Plan {
     slot: Vec<Option<usize>>,
     /// Tensors the host writes before each run.
     inputs: HashMap<TensorId, (TensorInfo, Extent)>,
-    /// Buffers that dispatches write, to be poisoned in guarded plans.
-    computed: Vec<(usize, Vec<u8>)>,
+    /// In guarded plans, computed tensors and what lies behind the others.
+    poisoned: Vec<Poisoned>,
+    poison: Poison,
     outputs: Vec<Output>,
     steps: Vec<Step>,
     stages: Vec<(String, std::ops::Range<usize>)>,
@@ -150,28 +187,24 @@ impl Plan {
         let slot = assignment.slot;
 
         let mut inputs = HashMap::new();
-        let mut computed = Vec::new();
+        let mut poisoned = Vec::new();
         let mut outputs = Vec::new();
         let mut staging_bytes = 0;
         for (index, info) in recording.tensors().iter().enumerate() {
             let Some(at) = slot[index] else { continue };
             let buffer = &buffers[at];
-            let by_host = matches!(info.role, Role::Constant(_) | Role::Input(_));
-            if options.guard && by_host {
-                let end = buffer.size() - guard;
-                gpu.queue.write_buffer(buffer, end, bytemuck::cast_slice(&[POISON; 64]));
+            if options.guard {
+                let by_host = matches!(info.role, Role::Constant(_) | Role::Input(_));
+                let first = if by_host { buffer.size() - guard } else { 0 };
+                let words = (first / 4) as usize..(buffer.size() / 4) as usize;
+                poisoned.push(Poisoned { id: TensorId(index), slot: at, words });
             }
             match &info.role {
                 Role::Constant(value) => gpu.queue.write_buffer(buffer, 0, value.bytes()),
                 Role::Input(extent) => {
                     inputs.insert(TensorId(index), (info.clone(), *extent));
                 }
-                Role::Transient | Role::Output => {
-                    if options.guard {
-                        let poison = vec![POISON; (buffer.size() / 4) as usize];
-                        computed.push((at, bytemuck::cast_slice(&poison).to_vec()));
-                    }
-                }
+                Role::Transient | Role::Output => {}
             }
             let is_output = matches!(info.role, Role::Output);
             if is_output || (options.guard && matches!(info.role, Role::Transient)) {
@@ -225,7 +258,8 @@ impl Plan {
             buffers,
             slot,
             inputs,
-            computed,
+            poisoned,
+            poison: Poison::default(),
             outputs,
             steps,
             stages,
@@ -233,6 +267,11 @@ impl Plan {
             staging_bytes: staging_bytes.max(4),
             timestamps,
         })
+    }
+
+    /// What guarded buffers hold before the next runs; [`Poison::Nan`] at first.
+    pub fn poison_with(&mut self, poison: Poison) {
+        self.poison = poison;
     }
 
     fn steps(
@@ -324,8 +363,10 @@ impl Plan {
         }
         let gpu = self.gpu.clone();
         let submission = pollster::block_on(gpu.scoped("running the network", || {
-            for (slot, poison) in &self.computed {
-                gpu.queue.write_buffer(&self.buffers[*slot], 0, poison);
+            for Poisoned { id, slot, words } in &self.poisoned {
+                let poison: Vec<u32> = words.clone().map(|at| self.poison.word(*id, at)).collect();
+                let offset = words.start as u64 * 4;
+                gpu.queue.write_buffer(&self.buffers[*slot], offset, bytemuck::cast_slice(&poison));
             }
             for (id, value) in inputs {
                 if let Some(slot) = self.slot[id.0] {
@@ -385,7 +426,9 @@ impl Plan {
             if self.options.guard {
                 let behind: Vec<u32> =
                     bytemuck::pod_collect_to_vec(&bytes[end..end + GUARD_BYTES as usize]);
-                if let Some(at) = behind.iter().position(|word| *word != POISON) {
+                let first = (end - start) / 4;
+                let word = |at: usize| self.poison.word(output.id, first + at);
+                if let Some(at) = (0..behind.len()).find(|at| behind[*at] != word(*at)) {
                     return Err(Error::tensor(
                         "run",
                         &output.name,
@@ -448,4 +491,25 @@ fn stage_ranges(recording: &Recording) -> Vec<(String, std::ops::Range<usize>)> 
     }
     let ends: Vec<usize> = starts.iter().skip(1).map(|s| s.1).chain([total]).collect();
     starts.into_iter().zip(ends).map(|((name, start), end)| (name, start..end)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A word is no result of arithmetic on another: neither a copy nor a NaN that went through.
+    #[test]
+    fn poison_differs_from_word_to_word_and_between_its_kinds() {
+        let words = |poison: Poison| -> Vec<u32> {
+            let tensors = (0..4).map(TensorId);
+            tensors.flat_map(|id| (0..1000).map(move |at| poison.word(id, at))).collect()
+        };
+        let (nan, finite) = (words(Poison::Nan), words(Poison::Finite));
+        assert!(nan.iter().all(|w| f32::from_bits(*w).is_nan()));
+        assert!(finite.iter().all(|w| f32::from_bits(*w).is_finite()));
+        for kind in [nan, finite] {
+            let distinct: std::collections::HashSet<_> = kind.iter().collect();
+            assert!(distinct.len() > kind.len() - 20, "{} of {}", distinct.len(), kind.len());
+        }
+    }
 }

@@ -11,8 +11,8 @@ mod recording;
 mod shader;
 
 pub use context::{AdapterChoice, AdapterReport, Gpu, GpuOptions, adapters};
-pub use executor::{POISON, Plan, PlanOptions, RunOutput, StageTime};
+pub use executor::{Plan, PlanOptions, Poison, RunOutput, StageTime};
 pub use recording::{Dispatch, Grid, MAX_WORKGROUPS, Recording, Role, Stage, TensorId, TensorInfo};
 pub(crate) use shader::shader_params;
 pub use shader::{EntryReflection, Reflection};
-pub use shader::{ParamLayout, Shader, reflect};
+pub use shader::{ParamLayout, Replacement, Shader, reflect, reflect_replaced};

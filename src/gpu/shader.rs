@@ -33,6 +33,22 @@ const SHARED: &[(&str, &str)] = &[
     ("sigmoid", include_str!("../../wgsl/shared/sigmoid.wgsl")),
 ];
 
+/// Another text for one file under `wgsl/`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Replacement {
+    /// The file's name without its ending: `conv2d`, `shared/reduce`.
+    pub file: String,
+    /// Its text.
+    pub text: String,
+}
+
+impl Replacement {
+    /// The text of `file`: this one if it is meant, else its own.
+    fn text<'a>(replacement: Option<&'a Self>, file: &str, own: &'a str) -> &'a str {
+        replacement.filter(|r| r.file == file).map_or(own, |r| &r.text)
+    }
+}
+
 /// Declares `Params`, the Rust mirror of a shader's uniform, and its [`ParamLayout`].
 macro_rules! shader_params {
     (struct Params { $($field:ident : $type:ty),+ $(,)? }) => {
@@ -94,17 +110,18 @@ struct Expanded {
 impl Expanded {
     /// # Errors
     /// [`Error::Shader`] for an include that does not exist.
-    fn new(shader: &Shader) -> Result<Self> {
-        let mut text = shader.source.to_owned();
+    fn new(shader: &Shader, replacement: Option<&Replacement>) -> Result<Self> {
+        let own = Replacement::text(replacement, shader.stem, shader.source);
+        let mut text = own.to_owned();
         let mut files = vec![(format!("{}.wgsl", shader.stem), 0)];
-        for (line, content) in shader.source.lines().enumerate() {
+        for (line, content) in own.lines().enumerate() {
             let Some(name) = content.strip_prefix("// include: ") else { continue };
             let Some((name, shared)) = SHARED.iter().find(|(n, _)| *n == name.trim()) else {
                 return Err(shader.error(line as u32 + 1, format!("no shared file `{name}`")));
             };
             text.push('\n');
             files.push((format!("shared/{name}.wgsl"), text.lines().count()));
-            text.push_str(shared);
+            text.push_str(Replacement::text(replacement, &format!("shared/{name}"), shared));
         }
         Ok(Self { text, files })
     }
@@ -130,7 +147,22 @@ impl Shader {
 /// [`Error::Shader`] with file and line if it does not compile, if it binds outside group 0, or if
 /// the two layouts of `Params` differ.
 pub fn reflect(shader: &Shader) -> Result<Reflection> {
-    let expanded = Expanded::new(shader)?;
+    reflect_with(shader, None)
+}
+
+/// [`reflect`] with another text for one of the shader's files.
+///
+/// # Errors
+/// As [`reflect`].
+pub fn reflect_replaced(shader: &Shader, replacement: &Replacement) -> Result<Reflection> {
+    reflect_with(shader, Some(replacement))
+}
+
+pub(super) fn reflect_with(
+    shader: &Shader,
+    replacement: Option<&Replacement>,
+) -> Result<Reflection> {
+    let expanded = Expanded::new(shader, replacement)?;
     let text = &expanded.text;
     let module = naga::front::wgsl::parse_str(text)
         .map_err(|e| expanded.error(e.location(text), e.emit_to_string(text)))?;
@@ -230,7 +262,8 @@ mod tests {
     #[test]
     fn a_line_of_the_expanded_text_is_a_line_of_one_file() {
         let source = "// include: relu\n// include: index\n";
-        let text = Expanded::new(&Shader { stem: "own", source, params: NONE }).expect("includes");
+        let text =
+            Expanded::new(&Shader { stem: "own", source, params: NONE }, None).expect("includes");
         for (number, content) in text.text.lines().enumerate() {
             let at = naga::SourceLocation {
                 line_number: number as u32 + 1,

@@ -3,12 +3,14 @@
 
 use rayon::prelude::*;
 
-use super::gemm::{multiply, vectorised};
+use super::gemm::{multiply, order, vectorised};
 use super::kernel::{Data, Kernel};
 use super::winograd::Winograd;
+use crate::cpu;
 use crate::ops::Conv2d;
+use crate::ops::bounds::magnitude;
 use crate::shape::TensorSpec;
-use crate::tensor::Tensor;
+use crate::tensor::{Tensor, Value};
 
 /// Floats of an im2col tile: half of a common second-level cache.
 const TILE: usize = 128 * 1024;
@@ -220,6 +222,19 @@ fn channels_last(weight: &Tensor) -> Vec<f32> {
 impl Kernel for Convolution {
     fn packed(&self) -> &'static [usize] {
         if self.op.bias { &[1, 2] } else { &[1] }
+    }
+
+    fn tolerance(&self, inputs: &[&Value]) -> crate::Result<Option<Vec<f64>>> {
+        let (input, weight) = (magnitude(inputs[0])?, magnitude(inputs[1])?);
+        let added: Vec<_> = inputs[2..].iter().map(|v| magnitude(v)).collect::<Result<_, _>>()?;
+        let bias = if self.op.bias { added.first() } else { None };
+        let residual = if self.op.residual { added.last() } else { None };
+        if let Algorithm::Winograd(kernel) = &self.algorithm {
+            return Ok(Some(kernel.tolerance(&input, bias, residual)));
+        }
+        let sums = cpu::conv2d(&input, &weight, bias, residual, self.op.shape(), false);
+        let order = order(self.shape.terms()).and(2);
+        Ok(Some(sums.data().iter().map(|sum| order.error(f64::from(*sum))).collect()))
     }
 
     fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {

@@ -1,5 +1,17 @@
 //! Matrix products, and vector code for the widest registers that the CPU has.
 
+pub(super) use crate::cpu::vectorised;
+use crate::ops::bounds::{Joined, SumOrder};
+
+/// Products that are added up before their sum joins the others, whatever order the library takes.
+const PART: usize = 512;
+
+/// The order of [`multiply`]'s sums of `k` products, at the worst.
+pub(super) fn order(k: usize) -> SumOrder {
+    let (terms, parts) = (k.min(PART), k.div_ceil(PART));
+    SumOrder { terms, parts, joined: Joined::InOrder, more: 0 }
+}
+
 /// `dst[j · O + i] = Σ weights[k · stride + i] · rows[j · K + k]`: N rows of K values times K rows of
 /// O weights, of which `weights` may be a part of `stride` columns. On the calling thread.
 pub(super) fn multiply(
@@ -18,36 +30,35 @@ pub(super) fn multiply(
     }
     assert!(o <= stride && dst.len() >= n * o && rows.len() >= n * k);
     assert!(weights.len() >= (k - 1) * stride + o);
-    // SAFETY: the product reads weights[k' · stride + i] and rows[j · K + k'] and writes
-    // dst[j · O + i] for i < O, j < N, k' < K, which the assertions keep inside the slices; `dst` is
-    // borrowed mutably, so it overlaps neither.
-    unsafe {
-        gemm::gemm(
-            o,
-            n,
-            k,
-            dst.as_mut_ptr(),
-            o as isize,
-            1,
-            false,
-            weights.as_ptr(),
-            stride as isize,
-            1,
-            rows.as_ptr(),
-            k as isize,
-            1,
-            0.0f32,
-            1.0f32,
-            false,
-            false,
-            false,
-            gemm::Parallelism::None,
-        );
+    for first in (0..k).step_by(PART) {
+        let count = PART.min(k - first);
+        let (weights, rows) = (&weights[first * stride..], &rows[first..]);
+        // SAFETY: the product reads weights[k' · stride + i] and rows[j · K + k'] and writes
+        // dst[j · O + i] for i < O, j < N, first + k' < K, which the assertions keep inside the
+        // slices; `dst` is borrowed mutably, so it overlaps neither.
+        unsafe {
+            gemm::gemm(
+                o,
+                n,
+                count,
+                dst.as_mut_ptr(),
+                o as isize,
+                1,
+                first > 0,
+                weights.as_ptr(),
+                stride as isize,
+                1,
+                rows.as_ptr(),
+                k as isize,
+                1,
+                1.0f32,
+                1.0f32,
+                false,
+                false,
+                false,
+                gemm::Parallelism::None,
+            );
+        }
     }
 }
 
-/// Runs `work` compiled for the widest registers that this CPU has.
-#[inline]
-pub(super) fn vectorised<R>(work: impl FnOnce() -> R) -> R {
-    pulp::Arch::new().dispatch(work)
-}

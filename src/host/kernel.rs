@@ -4,6 +4,7 @@ use std::fmt::Debug;
 
 use crate::error::{Error, Result};
 use crate::shape::TensorSpec;
+use crate::tensor::Value;
 
 /// How a map's elements follow each other in memory. Tensors that are no maps know one order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -62,6 +63,15 @@ pub(crate) trait Kernel: Debug + Send + Sync {
     /// Inputs whose values the kernel keeps in a form of its own: `run` does not read them.
     fn packed(&self) -> &'static [usize] {
         &[]
+    }
+
+    /// How far its outputs may be from the reference's, element by element, where it orders its sums
+    /// otherwise than the shader to which [`crate::ops::Op::tolerance`] belongs.
+    ///
+    /// # Errors
+    /// As the operation's reference.
+    fn tolerance(&self, _inputs: &[&Value]) -> Result<Option<Vec<f64>>> {
+        Ok(None)
     }
 
     /// Computes the outputs. Those of integers hold their bits; what a count leaves undefined may

@@ -2,11 +2,13 @@
 
 use rayon::prelude::*;
 
-use super::gemm::multiply;
+use super::gemm::{multiply, order};
 use super::kernel::{Data, Kernel, Layout, map_sizes};
+use crate::cpu;
 use crate::ops::Linear;
+use crate::ops::bounds::magnitude;
 use crate::shape::TensorSpec;
-use crate::tensor::Tensor;
+use crate::tensor::{Tensor, Value};
 
 /// Weights `[K, O]`, where K is in the order of channels-last maps.
 #[derive(Debug)]
@@ -53,6 +55,13 @@ impl Kernel for FullyConnected {
 
     fn packed(&self) -> &'static [usize] {
         &[1, 2]
+    }
+
+    fn tolerance(&self, inputs: &[&Value]) -> crate::Result<Option<Vec<f64>>> {
+        let (input, weight) = (magnitude(inputs[0])?, magnitude(inputs[1])?);
+        let sums = cpu::linear(&input, &weight, &magnitude(inputs[2])?, self.rows, false);
+        let order = order(weight.dims()[1]).and(1);
+        Ok(Some(sums.data().iter().map(|sum| order.error(f64::from(*sum))).collect()))
     }
 
     fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {

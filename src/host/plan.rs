@@ -188,6 +188,29 @@ impl HostPlan {
         Ok((values, times))
     }
 
+    /// The tolerance of a plan of one operation, by its kernel.
+    pub(super) fn tolerance(&self, inputs: &[&Value]) -> Result<Option<Vec<f64>>> {
+        let kernels = self.steps.iter().filter_map(|step| match &step.work {
+            Work::Kernel(kernel) => Some(kernel),
+            Work::Convert(_) => None,
+        });
+        for kernel in kernels {
+            if let Some(bounds) = kernel.tolerance(inputs)? {
+                return Ok(Some(bounds));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Fills every buffer that a step writes with NaN, which shows where a kernel leaves one out.
+    pub(super) fn poison(&mut self) {
+        for version in self.steps.iter().flat_map(|step| &step.outputs) {
+            if let Some(Place::Slot(slot)) = self.places.get(version) {
+                self.slots[*slot].fill(f32::NAN);
+            }
+        }
+    }
+
     /// A computed tensor as its shape says.
     fn value(&self, version: Version) -> Result<Value> {
         let spec = &self.specs[version.tensor.0];
@@ -270,10 +293,11 @@ impl Builder<'_> {
 
     /// Puts a conversion if nothing made this version yet.
     fn convert(&mut self, to: Version, stage: usize) {
-        let Some(made) = self.made.get(&to.tensor) else { return };
-        let there = *made == to.layout || self.steps.iter().any(|s| s.outputs.contains(&to));
+        // What the host gives is as its shape says.
+        let made = self.made.get(&to.tensor).copied().unwrap_or(Layout::Planar);
+        let there = made == to.layout || self.steps.iter().any(|s| s.outputs.contains(&to));
         if !there {
-            let from = Version { tensor: to.tensor, layout: *made };
+            let from = Version { tensor: to.tensor, layout: made };
             self.steps.push(Step {
                 work: Work::Convert(from.layout),
                 inputs: vec![Some(from)],

@@ -4,6 +4,7 @@ use crate::error::Result;
 use crate::gpu::TensorId;
 use crate::graph::Graph;
 use crate::model::cbam::cbam;
+use crate::model::config::Variant;
 use crate::model::layers::conv_bn;
 use crate::model::weights::Weights;
 use crate::ops::{Conv2d, MaxPool2d};
@@ -11,14 +12,22 @@ use crate::ops::{Conv2d, MaxPool2d};
 /// Output channels and number of basic blocks of conv2_x to conv5_x.
 const STAGES: [(usize, usize); 4] = [(64, 3), (128, 4), (256, 6), (512, 3)];
 
-/// Appends the backbone to `input` `[3, S, S]`; returns the outputs of conv3_x, conv4_x and conv5_x
-/// with their attention: 128, 256 and 512 channels at strides 8, 16 and 32.
+/// What the backbone gives, each map after its stage's attention.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Features {
+    /// For MSFF-Net: conv3_x, conv4_x and conv5_x, 128, 256 and 512 channels at strides 8, 16, 32.
+    Scales([TensorId; 3]),
+    /// Without it: conv4_x alone. Nothing reads conv5_x then, and no weight file has it.
+    Conv4(TensorId),
+}
+
+/// Appends the backbone to `input` `[3, S, S]`, as far as the variant needs it.
 pub(super) fn backbone(
     graph: &mut Graph,
     weights: &mut Weights,
     input: TensorId,
-) -> Result<[TensorId; 3]> {
-    let attention = weights.config().variant.safe;
+) -> Result<Features> {
+    let Variant { safe: attention, msff, .. } = weights.config().variant;
     graph.begin_stage("backbone.conv1");
     let conv1 = Conv2d { stride: 2, padding: 3, relu: true, ..Conv2d::default() };
     let names = ("backbone.conv1", "backbone.bn1");
@@ -30,7 +39,8 @@ pub(super) fn backbone(
     x = graph.apply1("backbone.maxpool", pool, &[x])?;
     let mut in_channels = 64;
     let mut features = Vec::new();
-    for (index, (channels, blocks)) in STAGES.into_iter().enumerate() {
+    let stages = if msff { STAGES.len() } else { STAGES.len() - 1 };
+    for (index, (channels, blocks)) in STAGES.into_iter().take(stages).enumerate() {
         let name = format!("backbone.layer{}", index + 1);
         graph.begin_stage(&name);
         for block in 0..blocks {
@@ -45,7 +55,10 @@ pub(super) fn backbone(
         }
         features.push(x);
     }
-    Ok([features[1], features[2], features[3]])
+    Ok(match features[..] {
+        [_, conv3, conv4, conv5] => Features::Scales([conv3, conv4, conv5]),
+        _ => Features::Conv4(x),
+    })
 }
 
 /// ResNet's basic block: two 3×3 convolutions and a shortcut, which is a strided 1×1 convolution

@@ -1,11 +1,29 @@
 //! What a weight file says of its network.
 
+use std::fmt::Debug;
+
 use serde::{Deserialize, Serialize};
+
+use crate::ops::{MEAN, STD};
 
 /// Largest input: conv1's output, 64 channels at half the size, must fit a binding of 128 MiB.
 const MAX_INPUT: usize = 1440;
 /// Most classes: 100 proposals in each must fit the 1024 boxes of one non-maximum suppression.
 const MAX_CLASSES: usize = 10;
+/// Characters of the longest class name.
+const MAX_NAME: usize = 64;
+/// Most anchors of a cell: 16 bytes of deltas for each of 180 × 180 cells are 32 MiB.
+const MAX_ANCHORS: usize = 64;
+/// Sides of anchors in pixels: up to the diagonal of the largest input, and some.
+const ANCHOR_SIZE: [f32; 2] = [1.0, 2048.0];
+/// Ratios of anchors.
+const ANCHOR_RATIO: [f32; 2] = [0.01, 100.0];
+/// Millimetres a pixel: from below the wavelength of light to a centimetre.
+const MM_PER_PIXEL: [f32; 2] = [1e-4, 10.0];
+/// Longest side of the sensor's picture, as of a crop.
+const MAX_PICTURE: u32 = 65_535;
+/// Largest reduction: the narrowest map with attention has so many channels.
+const MAX_REDUCTION: usize = 64;
 
 /// Configuration of a network, kept as JSON under `config` in the weight file's metadata.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -58,46 +76,67 @@ impl ModelConfig {
         Ok(config)
     }
 
+    /// What [`ModelConfig::is_input_size`] admits, in words.
+    pub const INPUT_SIZES: &str = "a multiple of 32 from 32 to 1440";
+
+    /// Whether the network's input may have sides of so many pixels.
+    pub fn is_input_size(size: usize) -> bool {
+        size.is_multiple_of(32) && (32..=MAX_INPUT).contains(&size)
+    }
+
+    /// Checks every value against its range; NaN is in none.
+    ///
+    /// # Errors
+    /// In words: the first that is out of it.
     pub(super) fn check(&self) -> Result<(), String> {
-        let finite = |v: &[f32]| v.iter().all(|x| x.is_finite() && *x > 0.0);
-        if self.format != 1 {
-            return Err(format!("config: format: expected 1, got {}", self.format));
-        }
-        if !self.input_size.is_multiple_of(32) || !(32..=MAX_INPUT).contains(&self.input_size) {
-            let got = self.input_size;
-            return Err(format!(
-                "config: input_size: expected a multiple of 32 from 32 to {MAX_INPUT}, got {got}"
-            ));
-        }
+        let expect = |fits: bool, name: &str, expected: String, got: &dyn Debug| match fits {
+            true => Ok(()),
+            false => Err(format!("config: {name}: expected {expected}, got {got:?}")),
+        };
+        let number = |name: &str, value: f32, [least, most]: [f32; 2]| {
+            let expected = format!("a number from {least} to {most}");
+            expect((least..=most).contains(&value), name, expected, &value)
+        };
+        let numbers = |name: &str, values: &[f32], range| {
+            values.iter().try_for_each(|value| number(name, *value, range))
+        };
+        expect(self.format == 1, "format", "1".into(), &self.format)?;
+        let fits = Self::is_input_size(self.input_size);
+        expect(fits, "input_size", Self::INPUT_SIZES.into(), &self.input_size)?;
         let stride = if self.variant.msff { 8 } else { 16 };
-        if self.stride != stride {
-            let got = self.stride;
-            return Err(format!("config: stride: expected {stride} for the variant, got {got}"));
+        let expected = format!("{stride} for the variant");
+        expect(self.stride == stride, "stride", expected, &self.stride)?;
+        numbers("mean", &self.mean, MEAN)?;
+        numbers("std", &self.std, STD)?;
+        let fits = (1..=MAX_CLASSES).contains(&self.classes.len());
+        let expected = format!("1 to {MAX_CLASSES} names");
+        expect(fits, "classes", expected, &self.classes.len())?;
+        for (i, name) in self.classes.iter().enumerate() {
+            let fits = !name.trim().is_empty() && name.chars().count() <= MAX_NAME;
+            let expected = format!("names of 1 to {MAX_NAME} characters");
+            expect(fits, "classes", expected, name)?;
+            let lower = name.to_lowercase();
+            let fits = self.classes[..i].iter().all(|other| other.to_lowercase() != lower);
+            expect(fits, "classes", "different names".into(), name)?;
         }
-        if !finite(&self.std) || !self.mean.iter().all(|m| m.is_finite()) {
-            return Err("config: mean and std: expected finite values, std above 0".into());
-        }
-        if self.classes.is_empty() || self.classes.len() > MAX_CLASSES {
-            let got = self.classes.len();
-            return Err(format!("config: classes: expected 1 to {MAX_CLASSES} names, got {got}"));
-        }
-        let names: std::collections::BTreeSet<_> =
-            self.classes.iter().map(|c| c.to_lowercase()).collect();
-        if names.len() != self.classes.len() || names.contains("") {
-            let got = self.classes.join(", ");
-            return Err(format!("config: classes: expected different names, got {got}"));
-        }
-        for (name, list) in
-            [("anchor_sizes", &self.anchor_sizes), ("anchor_ratios", &self.anchor_ratios)]
-        {
-            if list.is_empty() || !finite(list) {
-                return Err(format!("config: {name}: expected positive numbers, got {list:?}"));
-            }
-        }
-        if !finite(&[self.mm_per_pixel]) || self.reduction == 0 || self.picture_size == 0 {
-            return Err("config: mm_per_pixel, picture_size, reduction: expected above 0".into());
-        }
-        Ok(())
+        numbers("anchor_sizes", &self.anchor_sizes, ANCHOR_SIZE)?;
+        numbers("anchor_ratios", &self.anchor_ratios, ANCHOR_RATIO)?;
+        let (sizes, ratios) = (self.anchor_sizes.len(), self.anchor_ratios.len());
+        let fits = (1..=MAX_ANCHORS).contains(&sizes.saturating_mul(ratios));
+        let expected = format!("1 to {MAX_ANCHORS} sizes times ratios");
+        expect(fits, "anchor_sizes and anchor_ratios", expected, &(sizes, ratios))?;
+        // Rounded to whole pixels, a small or slender one may be gone.
+        let anchors = self.cell_anchors();
+        let flat = anchors.iter().find(|[x1, y1, x2, y2]| x1 >= x2 || y1 >= y2);
+        let expected = "anchors that cover a pixel".into();
+        expect(flat.is_none(), "anchor_sizes and anchor_ratios", expected, &flat)?;
+        number("mm_per_pixel", self.mm_per_pixel, MM_PER_PIXEL)?;
+        let expected = format!("1 to {MAX_PICTURE}");
+        let fits = (1..=MAX_PICTURE).contains(&self.picture_size);
+        expect(fits, "picture_size", expected, &self.picture_size)?;
+        let expected = format!("1 to {MAX_REDUCTION}");
+        let fits = (1..=MAX_REDUCTION).contains(&self.reduction);
+        expect(fits, "reduction", expected, &self.reduction)
     }
 
     /// Millimetres on the gel for one pixel of a picture whose largest centred square has `side`

@@ -81,6 +81,8 @@ fn scale_weights(graph: &mut Graph, weights: &mut Weights, maps: &[TensorId]) ->
     }
     let fc1_weight = Tensor::from_fn([REDUCED, 3 * CHANNELS], |i| sums[i] as f32);
     let fc1_bias = Tensor::from_fn([REDUCED], |i| bias[i] as f32);
+    weights.check_finite("reweight.fc1.weight", &fc1_weight)?;
+    weights.check_finite("reweight.fc1.bias", &fc1_bias)?;
     let pooled = graph.apply1("reweight.pool", GlobalAvgPool { maps: 3 }, maps)?;
     let inputs = [
         pooled,

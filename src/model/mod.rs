@@ -11,13 +11,14 @@ mod weights;
 
 pub use config::{ModelConfig, Variant};
 pub use roi_head::Thresholds;
-pub use rpn::Candidates;
-pub use weights::Weights;
+pub use weights::{MAX_FILE, Weights};
 
-use crate::error::Result;
+use backbone::Features;
+
+use crate::error::{Error, Result};
 use crate::gpu::TensorId;
 use crate::graph::Graph;
-use crate::ops::CropResize;
+use crate::ops::{CropResize, Nms};
 use crate::shape::{Extent, TensorSpec};
 
 /// The whole network as a graph, with the ids of what goes in and comes out.
@@ -41,10 +42,35 @@ pub struct Network {
     pub count: TensorId,
     /// Output: how many proposals the RoI head saw, `[1]`.
     pub proposal_count: TensorId,
-    /// What the proposals were chosen from.
-    pub candidates: Candidates,
+    /// Objectness logits of every anchor, `[A, H, W]`.
+    pub objectness: TensorId,
+    /// Which anchor each candidate for a proposal is, `[K]`.
+    pub anchors: TensorId,
+    /// The proposals, from the candidates.
+    pub proposals: Choice,
+    /// The detections, from a box for each proposal and class.
+    pub detections: Choice,
     /// Outputs of the heads, by which a value that is not finite is noticed.
     pub witnesses: Vec<Witness>,
+}
+
+/// A choice by non-maximum suppression. What it chooses from has a row for each of N.
+#[derive(Clone, Copy, Debug)]
+pub struct Choice {
+    /// How it was made.
+    pub rule: Nms,
+    /// Boxes in pixels of the network's input, `[N, 4]`.
+    pub boxes: TensorId,
+    /// What they are ordered by, `[N]`: a score or its logit.
+    pub order: TensorId,
+    /// Classes `[N]`, if boxes of different classes are no rivals.
+    pub classes: Option<TensorId>,
+    /// How many of the N there are, `[1]`.
+    pub count: TensorId,
+    /// Places of the chosen among the N, best first.
+    pub keep: TensorId,
+    /// How many were chosen, `[1]`.
+    pub kept: TensorId,
 }
 
 /// An output in which to look for values that are not finite.
@@ -60,9 +86,12 @@ impl Network {
     /// Builds the network from `weights` for pictures of at most `capacity` pixels.
     ///
     /// # Errors
-    /// [`crate::Error::Weights`] for tensors that are missing, misshapen or left over.
+    /// [`Error::Weights`] for a configuration out of its ranges and for tensors that are missing,
+    /// misshapen or left over.
     pub fn new(mut weights: Weights, capacity: usize, thresholds: Thresholds) -> Result<Self> {
         let config = weights.config().clone();
+        // Untrained weights come with a configuration that nothing has looked at yet.
+        config.check().map_err(|message| Error::Weights { file: "weights".into(), message })?;
         let mut graph = Graph::default();
         let picture = graph.input("picture", TensorSpec::u32([capacity]), Extent::UpTo);
         let crop = graph.input("crop", TensorSpec::u32([5]), Extent::Exact);
@@ -70,10 +99,9 @@ impl Network {
         let resize = CropResize { size: config.input_size, mean: config.mean, std: config.std };
         let input = graph.apply1("input", resize, &[picture, crop])?;
         let features = backbone::backbone(&mut graph, &mut weights, input)?;
-        let (fused, scales) = match config.variant.msff {
-            true => fusion::fusion(&mut graph, &mut weights, features)?,
-            // The ablation without MSFF-Net: conv4_x alone, which has 256 channels at stride 16.
-            false => (features[1], None),
+        let (fused, scales) = match features {
+            Features::Scales(scales) => fusion::fusion(&mut graph, &mut weights, scales)?,
+            Features::Conv4(map) => (map, None),
         };
         let proposals = rpn::rpn(&mut graph, &mut weights, fused)?;
         let head = roi_head::roi_head(&mut graph, &mut weights, fused, proposals, thresholds)?;
@@ -97,7 +125,10 @@ impl Network {
             classes: head.classes,
             count: head.count,
             proposal_count: proposals.count,
-            candidates: proposals.candidates,
+            objectness: proposals.maps[0],
+            anchors: proposals.anchors,
+            proposals: proposals.choice,
+            detections: head.choice,
             witnesses,
         })
     }

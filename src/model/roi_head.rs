@@ -3,6 +3,7 @@
 use crate::error::Result;
 use crate::gpu::TensorId;
 use crate::graph::Graph;
+use crate::model::Choice;
 use crate::model::fusion::CHANNELS;
 use crate::model::rpn::Proposals;
 use crate::model::weights::Weights;
@@ -45,6 +46,8 @@ pub(super) struct Head {
     pub count: TensorId,
     /// Class probabilities and box deltas, a row a proposal.
     pub rows: [TensorId; 2],
+    /// How the detections were chosen.
+    pub choice: Choice,
 }
 
 /// Appends the RoI head on the fused map.
@@ -99,11 +102,20 @@ pub(super) fn roi_head(
     let kept = graph.apply("roi_head.nms", nms, &[boxes, scores, labels, total])?;
     let mut gather =
         |name: &str, rows| graph.apply1(name, GatherRows {}, &[rows, kept[0], kept[1]]);
+    let choice = Choice {
+        rule: nms,
+        boxes,
+        order: scores,
+        classes: Some(labels),
+        count: total,
+        keep: kept[0],
+        kept: kept[1],
+    };
     let boxes = gather("detections.boxes", boxes)?;
     let scores = gather("detections.scores", scores)?;
     let classes = gather("detections.labels", labels)?;
     graph.rename(kept[1], "detections.count");
-    Ok(Head { boxes, scores, classes, count: kept[1], rows: [probabilities, deltas] })
+    Ok(Head { boxes, scores, classes, count: kept[1], rows: [probabilities, deltas], choice })
 }
 
 fn linear(

@@ -6,6 +6,7 @@
 use crate::error::Result;
 use crate::gpu::TensorId;
 use crate::graph::Graph;
+use crate::model::Choice;
 use crate::model::fusion::CHANNELS;
 use crate::model::layers::conv;
 use crate::model::weights::Weights;
@@ -27,17 +28,10 @@ pub(super) struct Proposals {
     pub count: TensorId,
     /// Objectness logits and box deltas of every anchor, `[A, H, W]` and `[4A, H, W]`.
     pub maps: [TensorId; 2],
-    /// What enters the non-maximum suppression.
-    pub candidates: Candidates,
-}
-
-/// The best anchors by score. Where scores tie to within rounding, their order may fall either way.
-#[derive(Clone, Copy, Debug)]
-pub struct Candidates {
-    /// Which anchor each is, `[K]`.
+    /// Which anchor each candidate is, best first.
     pub anchors: TensorId,
-    /// Their boxes `[K, 4]` and scores `[K]`.
-    pub rows: [TensorId; 2],
+    /// How they were chosen from the candidates.
+    pub choice: Choice,
 }
 
 /// Appends the RPN on the fused map.
@@ -67,6 +61,14 @@ pub(super) fn rpn(graph: &mut Graph, weights: &mut Weights, fused: TensorId) -> 
     let boxes = graph.apply1("proposals", GatherRows {}, &[decoded[0], kept[0], kept[1]])?;
     graph.apply1("proposal_scores", GatherRows {}, &[decoded[1], kept[0], kept[1]])?;
     graph.rename(kept[1], "proposal_count");
-    let candidates = Candidates { anchors: indices, rows: [decoded[0], decoded[1]] };
-    Ok(Proposals { boxes, count: kept[1], maps: [scores, deltas], candidates })
+    let choice = Choice {
+        rule: nms,
+        boxes: decoded[0],
+        order: logits,
+        classes: None,
+        count,
+        keep: kept[0],
+        kept: kept[1],
+    };
+    Ok(Proposals { boxes, count: kept[1], maps: [scores, deltas], anchors: indices, choice })
 }

@@ -6,12 +6,19 @@ use std::path::{Path, PathBuf};
 use safetensors::{Dtype, SafeTensors};
 
 use crate::error::{Error, Result};
+use crate::files;
 use crate::model::config::ModelConfig;
 use crate::shape::Shape;
 use crate::tensor::Tensor;
 
 /// Epsilon of PyTorch's batch norm.
 const BN_EPS: f64 = 1e-5;
+/// Longest file in bytes: twice that of the network in f32, whose 31 million weights take 124 MB.
+pub const MAX_FILE: u64 = 256 << 20;
+/// Longest header: that of the network's 289 tensors has 28 kB.
+const MAX_HEADER: u64 = 1 << 20;
+/// Most tensors in a file.
+const MAX_TENSORS: usize = 4096;
 
 /// The tensors of a weight file and its configuration. Building a network takes the tensors out one
 /// by one, so what is missing, misshapen or left over is noticed.
@@ -41,10 +48,10 @@ impl Weights {
     /// Reads a weight file.
     ///
     /// # Errors
-    /// [`Error::Weights`] if it cannot be read, is truncated, has no valid `config`, or holds a
-    /// value that is not finite.
+    /// [`Error::Weights`] if it cannot be read, is no regular file or longer than [`MAX_FILE`], is
+    /// truncated, has no valid `config`, or holds a value that is not finite.
     pub fn open(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path)
+        let bytes = files::read(path, MAX_FILE)
             .map_err(|e| Error::Weights { file: path.into(), message: e.to_string() })?;
         Self::from_bytes(path, &bytes)
     }
@@ -55,11 +62,16 @@ impl Weights {
     /// As [`Weights::open`].
     pub fn from_bytes(name: &Path, bytes: &[u8]) -> Result<Self> {
         let fail = |message: String| Error::Weights { file: name.into(), message };
+        check_length(bytes).map_err(fail)?;
         let (_, header) = SafeTensors::read_metadata(bytes)
             .map_err(|e| fail(format!("not a whole safetensors file: {e}")))?;
         let text = header.metadata().as_ref().and_then(|m| m.get("config"));
         let text = text.ok_or_else(|| fail("metadata: expected `config`, got none".into()))?;
         let config = ModelConfig::parse(text).map_err(fail)?;
+        let count = header.tensors().len();
+        if count > MAX_TENSORS {
+            return Err(fail(format!("expected at most {MAX_TENSORS} tensors, got {count}")));
+        }
         let parsed = SafeTensors::deserialize(bytes)
             .map_err(|e| fail(format!("not a whole safetensors file: {e}")))?;
         let mut tensors = BTreeMap::new();
@@ -102,10 +114,13 @@ impl Weights {
     /// [`Error::Param`] if `input_size` is not a multiple of 32 from 32 to 1440.
     pub fn with_input_size(mut self, input_size: usize) -> Result<Self> {
         self.config.input_size = input_size;
-        self.config.check().map_err(|_| {
-            Error::param("weights", "input_size", "a multiple of 32 from 32 to 1440", input_size)
-        })?;
-        Ok(self)
+        match ModelConfig::is_input_size(input_size) {
+            true => Ok(self),
+            false => {
+                let expected = ModelConfig::INPUT_SIZES;
+                Err(Error::param("weights", "input_size", expected, input_size))
+            }
+        }
     }
 
     /// The network's configuration.
@@ -140,7 +155,7 @@ impl Weights {
     /// with s = γ / √(σ² + ε), weight·s and β − μ·s.
     ///
     /// # Errors
-    /// As [`Weights::take`], and for a negative variance.
+    /// As [`Weights::take`], for a negative variance, and for what overflows when folded.
     pub fn take_folded(&mut self, conv: &str, bn: &str, shape: impl Into<Shape>) -> Result<Folded> {
         let mut weight = self.take(&format!("{conv}.weight"), shape)?;
         let channels = weight.dims()[0];
@@ -162,7 +177,26 @@ impl Weights {
             }
             bias.data_mut()[c] = (at(&beta) - at(&mean) * scale) as f32;
         }
+        for (part, tensor) in [("weight", &weight), ("bias", &bias)] {
+            self.check_finite(&format!("{conv}.{part}` with `{bn}"), tensor)?;
+        }
         Ok(Folded { weight, bias })
+    }
+
+    /// Refuses what overflowed when tensors of the file, each finite, were put together.
+    ///
+    /// # Errors
+    /// [`Error::Weights`] that names `tensor`.
+    pub(super) fn check_finite(&self, name: &str, tensor: &Tensor) -> Result<()> {
+        match tensor.data().iter().position(|v| !v.is_finite()) {
+            None => Ok(()),
+            Some(at) => {
+                let got = tensor.data()[at];
+                Err(self.fail(format!(
+                    "tensor `{name}`: expected finite values when folded, got {got} at {at}"
+                )))
+            }
+        }
     }
 
     /// Takes a layer's weight and bias as they are.
@@ -190,6 +224,25 @@ impl Weights {
                 Err(self.fail(text))
             }
         }
+    }
+}
+
+/// Looks at what a safetensors file says of its length before anything is read of it: 8 bytes with
+/// the header's, little-endian, then the header.
+fn check_length(bytes: &[u8]) -> Result<(), String> {
+    if bytes.len() as u64 > MAX_FILE {
+        return Err(format!("expected at most {MAX_FILE} bytes, got {}", bytes.len()));
+    }
+    let header = bytes.first_chunk().map(|length| u64::from_le_bytes(*length));
+    match header {
+        Some(length) if length > MAX_HEADER => {
+            let all = bytes.len();
+            Err(format!(
+                "not a whole safetensors file: expected a header of at most {MAX_HEADER} bytes, \
+                 got {length} in a file of {all}"
+            ))
+        }
+        _ => Ok(()),
     }
 }
 

@@ -4,9 +4,9 @@ use crate::cpu;
 use crate::error::Result;
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::sum_error;
-use crate::ops::case::{Case, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, expect_inputs, map_dims};
-use crate::ops::params::Params as Named;
+use crate::ops::case::{Case, GATED_MAPS, one_way, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, map_dims};
+use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
@@ -42,8 +42,12 @@ pub static ENTRY: Entry = Entry {
 pub struct ApplyGates;
 
 impl Op for ApplyGates {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        Settings::new()
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -54,8 +58,7 @@ impl Op for ApplyGates {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
         let [channels, height, width] = map_dims(name, "input", &inputs[0])?;
         expect(name, "channel_gate", &TensorSpec::f32([channels]), &inputs[1])?;
@@ -137,5 +140,15 @@ fn cases() -> Vec<Case> {
         random(92, [1, 320, 321]).into(),
     ];
     cases.push(Case::new("a grid folded to two dimensions", ApplyGates, inputs));
+    for (seed, (channels, edge)) in GATED_MAPS.into_iter().enumerate() {
+        let seed = 1000 + seed as u64 * 10;
+        let inputs = vec![
+            one_way(seed, [channels, edge, edge]).into(),
+            one_way(seed + 1, [channels]).into(),
+            one_way(seed + 2, [1, edge, edge]).into(),
+        ];
+        let name = format!("{channels} channels of {edge} × {edge}");
+        cases.push(Case::new(name, ApplyGates, inputs).in_network());
+    }
     cases
 }

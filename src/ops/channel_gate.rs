@@ -3,12 +3,12 @@
 use crate::cpu;
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
-use crate::ops::bounds::{magnitude, sigmoid_error, sum_error};
-use crate::ops::case::{Case, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, dims, expect, expect_inputs};
-use crate::ops::params::Params as Named;
+use crate::ops::bounds::{SumOrder, magnitude, sigmoid_error};
+use crate::ops::case::{Case, one_way, one_way_sum, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, dims, expect};
+use crate::ops::params::{Params as Named, Settings};
 use crate::shape::{DType, TensorSpec};
-use crate::tensor::Value;
+use crate::tensor::{Tensor, Value};
 
 shader_params! {
     struct Params {
@@ -36,6 +36,8 @@ pub static ENTRY: Entry = Entry {
 
 /// Hidden units that fit in the shader's workgroup memory.
 const CAPACITY: usize = 1024;
+/// Invocations that share the columns of a row of the first layer.
+pub(super) const LANES: usize = 16;
 
 /// CBAM's channel gate: `sigmoid(f(average) + f(maximum))`, `f(x) = fc2(relu(fc1(x)))`.
 ///
@@ -45,8 +47,12 @@ const CAPACITY: usize = 1024;
 pub struct ChannelGate;
 
 impl Op for ChannelGate {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        Settings::new()
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -57,8 +63,7 @@ impl Op for ChannelGate {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
         let [rows, channels] = dims(name, "pooled", &inputs[0], DType::F32)?;
         if rows != 2 || channels == 0 {
@@ -105,17 +110,21 @@ impl Op for ChannelGate {
 
     /// Each layer is a sum of products, off by its own roundings and by what the layer before left;
     /// ReLU does not enlarge that, and the logistic function divides it by 4. Two vectors go
-    /// through, so every layer counts twice.
+    /// through, so every layer counts twice. The first layer's sums are dealt out to `LANES`
+    /// invocations.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
         let sizes = inputs.iter().map(|v| magnitude(v)).collect::<Result<Vec<_>>>()?;
         let [hidden, channels] = [0, 1].map(|i| sizes[1].dims()[i]);
         let at = |t: usize, i: usize| f64::from(sizes[t].data()[i]);
+        // A bias, and the sum of the two vectors.
+        let first = SumOrder::dealt(channels, LANES).and(2);
+        let second = SumOrder::serial(hidden).and(1);
         // For each hidden unit: bound of its absolute value, and of its error.
         let units: Vec<(f64, f64)> = (0..hidden)
             .map(|r| {
                 let dot = |c| at(1, r * channels + c) * (at(0, c) + at(0, channels + c));
                 let size = (0..channels).map(dot).sum::<f64>() + 2.0 * at(2, r);
-                (size, sum_error(channels + 3, size))
+                (size, first.error(size))
             })
             .collect();
         let each = (0..channels).map(|c| {
@@ -125,14 +134,14 @@ impl Op for ChannelGate {
                 size += w * unit.0;
                 error += w * unit.1;
             }
-            sigmoid_error(error + sum_error(hidden + 3, size))
+            sigmoid_error(error + second.error(size))
         });
         Ok(vec![Tolerance::Each(each.collect())])
     }
 }
 
 /// The five tensors of an MLP.
-pub(super) fn f32s<'a>(inputs: &[&'a Value]) -> Result<[&'a crate::tensor::Tensor; 5]> {
+pub(super) fn f32s<'a>(inputs: &[&'a Value]) -> Result<[&'a Tensor; 5]> {
     Ok([inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?, inputs[3].f32()?, inputs[4].f32()?])
 }
 
@@ -210,6 +219,38 @@ fn cases() -> Vec<Case> {
     ];
     for (i, (name, channels, hidden, scale)) in shapes.into_iter().enumerate() {
         cases.push(Case::new(name, ChannelGate, mlp(i as u64 * 10, channels, hidden, scale)));
+    }
+    // Where the gate is steep, so that a single unit shows.
+    let mut steep = mlp(500, 3, 1024, 0.1);
+    steep[3] = random_scaled(503, [3, 1024], 0.03);
+    cases.push(Case::new("1024 hidden units, steep", ChannelGate, steep));
+    for (i, channels) in [64, 128, 256, 512].into_iter().enumerate() {
+        let seed = 1000 + i as u64 * 10;
+        let hidden = channels / 16;
+        let mut inputs: Vec<Value> = vec![
+            one_way(seed, [2, channels]).into(),
+            one_way(seed + 1, [hidden, channels]).into(),
+            one_way_sum(seed + 2, [hidden], channels),
+            one_way(seed + 3, [channels, hidden]).into(),
+        ];
+        // A bias that takes the logits back to where the gate is steep.
+        let logits: Vec<f32> = (0..channels)
+            .map(|c| {
+                let of = |t: usize, i: usize| match &inputs[t] {
+                    Value::F32(tensor) => f64::from(tensor.data()[i]),
+                    Value::U32(_) => 0.0,
+                };
+                let unit = |r: usize| {
+                    let both = |k| of(0, k) + of(0, channels + k);
+                    let dot = (0..channels).map(|k| of(1, r * channels + k) * both(k));
+                    dot.sum::<f64>() + 2.0 * of(2, r)
+                };
+                (0..hidden).map(|r| of(3, c * hidden + r) * unit(r)).sum::<f64>() as f32
+            })
+            .collect();
+        inputs.push(Tensor::from_fn([channels], |c| -logits[c] / 2.0).into());
+        let name = format!("{channels} channels, {hidden} hidden units");
+        cases.push(Case::new(name, ChannelGate, inputs).in_network());
     }
     cases
 }

@@ -3,10 +3,10 @@
 use crate::cpu;
 use crate::error::Result;
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
-use crate::ops::bounds::{magnitude, mean_error};
-use crate::ops::case::{Case, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect_inputs, map_dims};
-use crate::ops::params::Params as Named;
+use crate::ops::bounds::{PARTIAL_SUMS, SumOrder, magnitude, mean_error};
+use crate::ops::case::{Case, GATED_MAPS, one_way, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, map_dims};
+use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::{Tensor, Value};
 
@@ -41,8 +41,12 @@ pub static ENTRY: Entry = Entry {
 pub struct ChannelPool;
 
 impl Op for ChannelPool {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        Settings::new()
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -53,8 +57,7 @@ impl Op for ChannelPool {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let [channels, ..] = map_dims(self.name(), "input", &inputs[0])?;
         Ok(vec![TensorSpec::f32([2, channels])])
     }
@@ -78,12 +81,14 @@ impl Op for ChannelPool {
         Ok(vec![cpu::channel_pool(inputs[0].f32()?).into()])
     }
 
-    /// Averages as [`mean_error`] says; maxima are inputs, so exact.
+    /// Averages in [`PARTIAL_SUMS`] parts: one after the other, 160 × 160 values would lose 1.5e-3.
+    /// Maxima are inputs, so exact.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
         let sizes = magnitude(inputs[0])?;
         let [channels, height, width] = [0, 1, 2].map(|i| sizes.dims()[i]);
         let means = cpu::global_avg_pool(&sizes);
-        let averages = means.data().iter().map(|m| mean_error(height * width, f64::from(*m)));
+        let order = SumOrder::dealt(height * width, PARTIAL_SUMS);
+        let averages = means.data().iter().map(|m| mean_error(order, f64::from(*m)));
         Ok(vec![Tolerance::Each(averages.chain(vec![0.0; channels]).collect())])
     }
 }
@@ -110,6 +115,7 @@ fn cases() -> Vec<Case> {
         ("prime sizes", [17, 31, 37]),
         ("deep and small, as conv5_x", [512, 10, 10]),
         ("wide, as conv1", [5, 160, 160]),
+        ("65 537 channels: a grid folded to two dimensions", [65_537, 1, 1]),
     ];
     for (i, (name, dims)) in shapes.into_iter().enumerate() {
         cases.push(Case::new(name, ChannelPool, vec![random(i as u64, dims).into()]));
@@ -121,5 +127,13 @@ fn cases() -> Vec<Case> {
     cases.push(Case::new("maximum in the last pixel", ChannelPool, vec![last.into()]));
     cases.push(Case::new("1e30", ChannelPool, vec![random_scaled(91, [3, 11, 13], 1e30)]));
     cases.push(Case::new("1e-30", ChannelPool, vec![random_scaled(92, [3, 11, 13], 1e-30)]));
+    // Its rounding errors all go one way: summed in order they would be past the bound.
+    let third = Tensor::from_fn([1, 160, 160], |_| 1.0 / 3.0);
+    cases.push(Case::new("one third everywhere", ChannelPool, vec![third.into()]));
+    for (seed, (channels, edge)) in GATED_MAPS.into_iter().enumerate() {
+        let input = one_way(1000 + seed as u64, [channels, edge, edge]).into();
+        let name = format!("{channels} channels of {edge} × {edge}");
+        cases.push(Case::new(name, ChannelPool, vec![input]).in_network());
+    }
     cases
 }

@@ -3,10 +3,10 @@
 use crate::cpu::{self, ConvShape};
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, MAX_WORKGROUPS, Recording, Shader, TensorId, shader_params};
-use crate::ops::bounds::{magnitude, sum_error};
-use crate::ops::case::{Case, random};
-use crate::ops::op::{Entry, Op, Tolerance, dims, expect, expect_inputs};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::bounds::{Joined, SumOrder, magnitude};
+use crate::ops::case::{Case, one_way, one_way_sum, random};
+use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -37,10 +37,10 @@ pub static ENTRY: Entry = Entry {
     takes: "input [I, H, W], weight [O, I, kh, kw]; optional: bias [O], residual [O, H', W']",
     gives: "output [O, H', W']",
     params: &[
-        Param::optional("stride", "1"),
-        Param::optional("padding", "0"),
-        Param::optional("dilation", "1"),
-        Param::optional("relu", "false"),
+        Param::optional("stride", "1", Range::Whole(1, MAX_PARAM)),
+        Param::optional("padding", "0", Range::Whole(0, MAX_PARAM)),
+        Param::optional("dilation", "1", Range::Whole(1, MAX_PARAM)),
+        Param::optional("relu", "false", Range::Flag),
     ],
     shader: &SHADER,
     build,
@@ -48,7 +48,7 @@ pub static ENTRY: Entry = Entry {
 };
 
 /// Largest stride, dilation and padding: far past any use, and safe in the shader's u32 arithmetic.
-const MAX_PARAM: usize = 4096;
+const MAX_PARAM: u64 = 4096;
 /// Output channels that one workgroup computes.
 const CHANNELS: usize = 64;
 /// Output pixels that one workgroup computes.
@@ -81,7 +81,8 @@ impl Default for Conv2d {
 }
 
 impl Conv2d {
-    fn shape(&self) -> ConvShape {
+    /// The convolution's geometry.
+    pub(crate) fn shape(&self) -> ConvShape {
         ConvShape { stride: self.stride, padding: self.padding, dilation: self.dilation }
     }
 
@@ -94,8 +95,17 @@ impl Conv2d {
 }
 
 impl Op for Conv2d {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![
+            ("stride", self.stride.into()),
+            ("padding", self.padding.into()),
+            ("dilation", self.dilation.into()),
+            ("relu", self.relu.into()),
+        ]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -109,23 +119,12 @@ impl Op for Conv2d {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
-        for (param, value, least) in [
-            ("stride", self.stride, 1),
-            ("dilation", self.dilation, 1),
-            ("padding", self.padding, 0),
-        ] {
-            if !(least..=MAX_PARAM).contains(&value) {
-                let expected = format!("{least} to {MAX_PARAM}");
-                return Err(Error::param(name, param, expected, value));
-            }
-        }
         let (input, weight, bias, residual) = self.split(inputs);
         let [in_c, in_h, in_w] = dims(name, "input", input, DType::F32)?;
         let [out_c, weight_c, kh, kw] = dims(name, "weight", weight, DType::F32)?;
-        if weight_c != in_c || out_c * in_c * kh * kw == 0 {
+        if weight_c != in_c || [out_c, in_c, kh, kw].contains(&0) {
             let expected = format!("[O, {in_c}, kh, kw] without a zero");
             return Err(Error::tensor(name, "weight", expected, weight));
         }
@@ -214,18 +213,22 @@ impl Op for Conv2d {
         Ok(vec![cpu::conv2d(input, weight, bias, residual, self.shape(), self.relu).into()])
     }
 
-    /// A sum of n products in any order, with or without fused multiply-adds, is at most
-    /// n·ε·Σ|w||x| off (Higham, Accuracy and Stability, §3.1); bias and residual add two terms.
+    /// The shader sums the channels of each tap, then the taps, then bias and residual.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
         let (input, weight, bias, residual) = self.split(inputs);
         let bias = bias.map(|v| magnitude(v)).transpose()?;
         let residual = residual.map(|v| magnitude(v)).transpose()?;
         let (input, weight) = (magnitude(input)?, magnitude(weight)?);
-        let terms = weight.dims()[1..].iter().product::<usize>() + 2;
+        let [_, terms, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
+        let order = SumOrder { terms, parts: kh * kw, joined: Joined::InOrder, more: 2 };
         let sums =
             cpu::conv2d(&input, &weight, bias.as_ref(), residual.as_ref(), self.shape(), false);
-        let each = sums.data().iter().map(|s| sum_error(terms, f64::from(*s)));
+        let each = sums.data().iter().map(|s| order.error(f64::from(*s)));
         Ok(vec![Tolerance::Each(each.collect())])
+    }
+
+    fn unbiased(&self) -> bool {
+        true
     }
 }
 
@@ -292,6 +295,48 @@ fn cases() -> Vec<Case> {
         )
         .by_hand(vec![tensor(&[2, 1, 1], &[0.0, 9.75])]),
     ];
+    // Kernel rows (1, 2, 3) and, one above the other, (1, 2): 1·1 + 2·2 + 3·4 = 17 and so on. A
+    // kernel with its sides exchanged would be of another size.
+    let map = || tensor(&[1, 2, 4], &[1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0]);
+    let plain = Conv2d { bias: false, ..Conv2d::default() };
+    cases.push(
+        Case::new("1x3 by hand", plain, vec![map(), tensor(&[1, 1, 1, 3], &[1.0, 2.0, 3.0])])
+            .by_hand(vec![tensor(&[1, 2, 2], &[17.0, 34.0, 272.0, 544.0])]),
+    );
+    cases.push(
+        Case::new("2x1 by hand", plain, vec![map(), tensor(&[1, 1, 2, 1], &[1.0, 2.0])])
+            .by_hand(vec![tensor(&[1, 1, 4], &[33.0, 66.0, 132.0, 264.0])]),
+    );
+    // Stride 3 with padding 1 looks at rows −1 and 2, dilation 2 at columns (−1, 1) and (2, 4). Row 2
+    // is 1…6 in channel 0, weighted (10, 1), and 100…600 in channel 1, weighted (0, 1).
+    let planes = Tensor::from_fn([2, 3, 6], |i| match (i / 18, i / 6 % 3) {
+        (0, 2) => (i % 6 + 1) as f32,
+        (1, 2) => (i % 6 + 1) as f32 * 100.0,
+        _ => 7.0,
+    });
+    cases.push(
+        Case::new(
+            "stride, dilation, padding and channels by hand",
+            Conv2d { stride: 3, padding: 1, dilation: 2, ..plain },
+            vec![planes.into(), tensor(&[1, 2, 1, 2], &[10.0, 1.0, 0.0, 1.0])],
+        )
+        .by_hand(vec![tensor(&[1, 2, 2], &[0.0, 0.0, 202.0, 535.0])]),
+    );
+    // PyTorch's ReLU keeps it: an overflow must reach the outputs, where the host looks for it.
+    cases.push(
+        Case::new(
+            "a NaN goes through the ReLU",
+            Conv2d { relu: true, ..plain },
+            vec![tensor(&[1, 1, 3], &[-1.0, f32::NAN, 0.5]), tensor(&[1, 1, 1, 1], &[1.0])],
+        )
+        .by_hand(vec![tensor(&[1, 1, 3], &[0.0, f32::NAN, 0.5])]),
+    );
+    for (seed, [kh, kw]) in [(200, [1, 3]), (210, [3, 1]), (220, [5, 3]), (230, [2, 7])] {
+        let op = Conv2d { stride: 2, padding: 3, bias: false, ..Conv2d::default() };
+        let inputs =
+            vec![random(seed, [3, 11, 17]).into(), random(seed + 1, [5, 3, kh, kw]).into()];
+        cases.push(Case::new(format!("a kernel of {kh} × {kw}"), op, inputs));
+    }
     // (name, in_c, h, w, out_c, kernel, stride, padding, dilation, bias, residual, relu)
     let shapes = [
         ("one of everything", 1, 1, 1, 1, 1, 1, 0, 1, true, false, false),
@@ -342,5 +387,44 @@ fn cases() -> Vec<Case> {
     let op = Conv2d { padding: 1, bias: false, ..Conv2d::default() };
     let inputs = vec![wide.into(), random(98, [8, 32, 3, 3]).into()];
     cases.push(Case::new("twelve orders of magnitude", op, inputs));
+    // Each of the network: (in_c, edge, out_c, kernel, stride, padding, dilation, residual, relu).
+    let layers = [
+        (3, 320, 64, 7, 2, 3, 1, false, true),
+        (64, 80, 64, 3, 1, 1, 1, false, true),
+        (64, 80, 64, 3, 1, 1, 1, true, true),
+        (64, 80, 128, 3, 2, 1, 1, false, true),
+        (64, 80, 128, 1, 2, 0, 1, false, false),
+        (128, 40, 128, 3, 1, 1, 1, false, true),
+        (128, 40, 128, 3, 1, 1, 1, true, true),
+        (128, 40, 256, 3, 2, 1, 1, false, true),
+        (128, 40, 256, 1, 2, 0, 1, false, false),
+        (256, 20, 256, 3, 1, 1, 1, false, true),
+        (256, 20, 256, 3, 1, 1, 1, true, true),
+        (256, 20, 512, 3, 2, 1, 1, false, true),
+        (256, 20, 512, 1, 2, 0, 1, false, false),
+        (512, 10, 512, 3, 1, 1, 1, false, true),
+        (512, 10, 512, 3, 1, 1, 1, true, true),
+        (128, 40, 256, 3, 1, 1, 1, false, true),
+        (256, 20, 256, 3, 1, 2, 2, false, true),
+        (512, 10, 256, 3, 1, 2, 2, false, true),
+        (256, 40, 12, 1, 1, 0, 1, false, false),
+        (256, 40, 48, 1, 1, 0, 1, false, false),
+    ];
+    for (i, layer) in layers.into_iter().enumerate() {
+        let (in_c, edge, out_c, kernel, stride, padding, dilation, residual, relu) = layer;
+        let op = Conv2d { stride, padding, dilation, bias: true, residual, relu };
+        let seed = 1000 + i as u64 * 10;
+        let terms = in_c * kernel * kernel;
+        let mut inputs: Vec<Value> = vec![
+            one_way(seed, [in_c, edge, edge]).into(),
+            one_way(seed + 1, [out_c, in_c, kernel, kernel]).into(),
+            one_way_sum(seed + 2, [out_c], terms),
+        ];
+        if residual {
+            inputs.push(one_way_sum(seed + 3, [out_c, edge, edge], terms));
+        }
+        let name = format!("{in_c} to {out_c} at {edge} × {edge}");
+        cases.push(Case::new(name, op, inputs).in_network());
+    }
     cases
 }

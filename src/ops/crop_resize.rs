@@ -4,8 +4,8 @@ use crate::cpu::{self, Crop};
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, values};
-use crate::ops::op::{EPS, Entry, Op, Tolerance, check_inputs, dims, expect, expect_inputs};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::op::{EPS, Entry, Op, Tolerance, check_inputs, dims, expect};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -37,9 +37,9 @@ pub static ENTRY: Entry = Entry {
     takes: "picture u32 [N], RGBA8; crop u32 [5]: width, height, x, y, side",
     gives: "output [3, size, size]",
     params: &[
-        Param::required("size", "320"),
-        Param::required("mean", "0.5,0.5,0.5"),
-        Param::required("std", "0.2,0.2,0.2"),
+        Param::required("size", "320", Range::Whole(1, MAX_SIZE)),
+        Param::required("mean", "0.5,0.5,0.5", Range::Numbers(MEAN[0], MEAN[1])),
+        Param::required("std", "0.2,0.2,0.2", Range::Numbers(STD[0], STD[1])),
     ],
     shader: &SHADER,
     build,
@@ -47,8 +47,13 @@ pub static ENTRY: Entry = Entry {
 };
 
 /// Largest output size and crop side: the shader's positions, products of the two, stay below 2³².
-const MAX_SIZE: usize = 16_384;
+const MAX_SIZE: u64 = 16_384;
 const MAX_SIDE: usize = 65_535;
+
+/// Means of pictures in [0, 1].
+pub(crate) const MEAN: [f32; 2] = [0.0, 1.0];
+/// Standard deviations: from below one level of 8 bits, 1/255, to far above the largest there is.
+pub(crate) const STD: [f32; 2] = [1e-3, 1e3];
 
 /// `(pixel / 255 − mean) / std` of a square crop, resized with antialiased bilinear weights.
 ///
@@ -116,8 +121,16 @@ impl CropResize {
 }
 
 impl Op for CropResize {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![
+            ("size", self.size.into()),
+            ("mean", self.mean[..].into()),
+            ("std", self.std[..].into()),
+        ]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -128,18 +141,8 @@ impl Op for CropResize {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
-        if !(1..=MAX_SIZE).contains(&self.size) {
-            return Err(Error::param(name, "size", format!("1 to {MAX_SIZE}"), self.size));
-        }
-        if !self.mean.iter().all(|m| m.is_finite()) {
-            return Err(Error::param(name, "mean", "finite", format!("{:?}", self.mean)));
-        }
-        if !self.std.iter().all(|s| s.is_finite() && *s > 0.0) {
-            return Err(Error::param(name, "std", "positive", format!("{:?}", self.std)));
-        }
         let [capacity] = dims(name, "picture", &inputs[0], DType::U32)?;
         if capacity == 0 {
             return Err(Error::tensor(name, "picture", "at least one pixel", &inputs[0]));
@@ -212,14 +215,7 @@ impl Op for CropResize {
 }
 
 fn build(params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
-    let mut three = |name: &'static str| {
-        let list: Vec<f32> = params.require_list(name)?;
-        let count = list.len();
-        <[f32; 3]>::try_from(list).map_err(|_| {
-            Error::param(ENTRY.name, name, "three numbers, for red, green and blue", count)
-        })
-    };
-    let (mean, std) = (three("mean")?, three("std")?);
+    let (mean, std) = (params.require_array("mean")?, params.require_array("std")?);
     Ok(Box::new(CropResize { size: params.require("size")?, mean, std }))
 }
 
@@ -313,5 +309,8 @@ fn cases() -> Vec<Case> {
         let op = CropResize { size, mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225] };
         cases.push(Case::new(name, op, vec![pattern(capacity), crop(numbers)]));
     }
+    let op = CropResize { size: 320, mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225] };
+    let inputs = vec![pattern(1_000_000), crop([1000, 1000, 0, 0, 1000])];
+    cases.push(Case::new("the sensor's picture", op, inputs).in_network());
     cases
 }

@@ -4,10 +4,10 @@ use crate::cpu::{self, DetectionRule};
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::boxes::{decode_bound, row};
-use crate::ops::case::{Case, integers, random, random_boxes, values};
+use crate::ops::case::{Case, integers, one_way, random, random_boxes, values};
 use crate::ops::count::{expect_count, live};
-use crate::ops::op::{Entry, Op, Tolerance, dims, expect, expect_inputs};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -37,9 +37,10 @@ pub static ENTRY: Entry = Entry {
     takes: "rois [R, 4], deltas [R, 4C], probabilities [R, C], count u32 [1]",
     gives: "boxes [R(C - 1), 4], scores [R(C - 1)], classes u32 [R(C - 1)], count u32 [1]",
     params: &[
-        Param::required("width", "320"),
-        Param::required("height", "320"),
-        Param::optional("class_mask", "4294967295"),
+        Param::required("width", "320", Range::Whole(1, 65_536)),
+        Param::required("height", "320", Range::Whole(1, 65_536)),
+        Param::optional("weights", "10,10,5,5", Range::Numbers(1e-3, 1e3)),
+        Param::optional("class_mask", "4294967295", Range::Whole(0, u32::MAX as u64)),
     ],
     shader: &SHADER,
     build,
@@ -87,8 +88,17 @@ impl DecodeDetections {
 }
 
 impl Op for DecodeDetections {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![
+            ("width", self.width.into()),
+            ("height", self.height.into()),
+            ("weights", self.weights[..].into()),
+            ("class_mask", self.class_mask.into()),
+        ]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -99,12 +109,8 @@ impl Op for DecodeDetections {
         vec!["boxes", "scores", "classes", "count"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
-        if !self.weights.iter().all(|w| *w > 0.0) {
-            return Err(Error::param(name, "weights", "above 0", format!("{:?}", self.weights)));
-        }
         let [rois, classes] = dims(name, "probabilities", &inputs[2], DType::F32)?;
         if rois == 0 || classes < 2 {
             let expected = "f32 [R, classes] with R above 0 and at least 2 classes";
@@ -211,11 +217,12 @@ impl Op for DecodeDetections {
 }
 
 fn build(params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
+    let default = DecodeDetections::default();
     Ok(Box::new(DecodeDetections {
         width: params.require("width")?,
         height: params.require("height")?,
-        class_mask: params.take("class_mask", u32::MAX)?,
-        ..DecodeDetections::default()
+        weights: params.take_array("weights", default.weights)?,
+        class_mask: params.take("class_mask", default.class_mask)?,
     }))
 }
 
@@ -234,7 +241,7 @@ fn cases() -> Vec<Case> {
         let op = DecodeDetections { class_mask: mask, ..DecodeDetections::default() };
         Case::new(name, op, inputs)
     };
-    vec![
+    let mut cases = vec![
         // The box (8, 8)–(16, 24), centre (12, 16). Class 1: dx = 5/10 of 8 is 4, dy = −10/10 of
         // 16 is −16, so the centre is (16, 0), and the upper half is clipped. Class 2 is not
         // wanted; its dw = 100/5 is clamped to ln 62.5, which fills the picture's width.
@@ -271,7 +278,36 @@ fn cases() -> Vec<Case> {
         random_case("65 outputs", 40, 13, 6, u32::MAX, 99),
         random_case("100 regions, 97 counted", 50, 100, 3, u32::MAX, 97),
         random_case("32 classes", 60, 7, 32, 0x8000_0001, 7),
-    ]
+    ];
+    // A box of 2 × 2 around (160, 160): dw = 100/5 and dh = 20.7/5 = 4.14 are clamped to ln 62.5,
+    // which makes 125 × 125; dh = 4 of class 2 is not, and makes 2e⁴. Nothing is clipped.
+    let half = 4f64.exp() as f32;
+    cases.push(
+        Case::new(
+            "the clamp by hand",
+            DecodeDetections::default(),
+            vec![
+                values([1, 4], &[159.0, 159.0, 161.0, 161.0]),
+                values([1, 12], &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 100.0, 20.7, 0.0, 0.0, 0.0, 20.0]),
+                values([1, 3], &[0.25, 0.5, 0.25]),
+                count(1),
+            ],
+        )
+        .by_hand(vec![
+            values([2, 4], &[97.5, 97.5, 222.5, 222.5, 159.0, 160.0 - half, 161.0, 160.0 + half]),
+            values([2], &[0.5, 0.25]),
+            integers([2], &[1, 2]),
+            integers([1], &[2]),
+        ]),
+    );
+    let inputs = vec![
+        random_boxes(1000, 100, 320.0, 120.0).into(),
+        one_way(1001, [100, 12]).into(),
+        one_way(1002, [100, 3]).into(),
+        count(100),
+    ];
+    cases.push(Case::new("the RoI head", DecodeDetections::default(), inputs).in_network());
+    cases
 }
 
 /// `BoxCoder((10, 10, 5, 5)).decode`, then `clip_boxes_to_image`, without the background.

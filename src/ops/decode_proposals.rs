@@ -4,10 +4,10 @@ use crate::cpu::{self, AnchorGrid};
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::boxes::decode_bound;
-use crate::ops::case::{Case, integers, random, random_integers, values};
+use crate::ops::case::{Case, integers, one_way, random, random_integers, values};
 use crate::ops::count::{expect_count, live};
-use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect, expect_inputs};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -35,15 +35,18 @@ pub static ENTRY: Entry = Entry {
     takes: "deltas [4A, H, W], scores [K], indices u32 [K], count u32 [1]",
     gives: "boxes [K, 4], scores [K]",
     params: &[
-        Param::required("anchors", "-16,-16,16,16"),
-        Param::required("stride", "8"),
-        Param::required("width", "320"),
-        Param::required("height", "320"),
+        Param::required("anchors", "-16,-16,16,16", Range::Numbers(-65_536.0, 65_536.0)),
+        Param::required("stride", "8", Range::Whole(1, 4096)),
+        Param::required("width", "320", Range::Whole(1, 65_536)),
+        Param::required("height", "320", Range::Whole(1, 65_536)),
     ],
     shader: &SHADER,
     build,
     cases,
 };
+
+/// Most anchors of a cell: far past any use.
+const MAX_ANCHORS: usize = 1024;
 
 /// Boxes of the chosen anchors, clipped to the picture, and their objectness.
 ///
@@ -71,8 +74,17 @@ impl DecodeProposals {
 }
 
 impl Op for DecodeProposals {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![
+            ("anchors", self.anchors.as_flattened().into()),
+            ("stride", self.stride.into()),
+            ("width", self.width.into()),
+            ("height", self.height.into()),
+        ]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -83,11 +95,15 @@ impl Op for DecodeProposals {
         vec!["boxes", "scores"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
-        if self.anchors.is_empty() {
-            return Err(Error::param(name, "anchors", "at least one", "none"));
+        if !(1..=MAX_ANCHORS).contains(&self.anchors.len()) {
+            let expected = format!("at least one, at most {MAX_ANCHORS}");
+            return Err(Error::param(name, "anchors", expected, self.anchors.len()));
+        }
+        if let Some(anchor) = self.anchors.iter().find(|[x1, y1, x2, y2]| x1 >= x2 || y1 >= y2) {
+            let expected = "x1 below x2 and y1 below y2";
+            return Err(Error::param(name, "anchors", expected, format!("{anchor:?}")));
         }
         let [channels, h, w] = dims(name, "deltas", &inputs[0], DType::F32)?;
         if channels != 4 * self.anchors.len() || h * w == 0 {
@@ -211,7 +227,7 @@ fn cases() -> Vec<Case> {
     };
     let mut extreme = random(70, [12, 5, 7]);
     extreme.data_mut().iter_mut().for_each(|x| *x *= 20.0);
-    vec![
+    let mut cases = vec![
         // Index 9 is anchor 1 at x = 1, y = 1: (6, 6, 10, 10), centre 8. dx = 0.5 moves it by 2,
         // dy = −1 by −4; dw = dh = 0. Index 0 is anchor 0 at the origin, clipped at 0; its dw of
         // 9 is clamped to ln 62.5, so that it is 16 · 62.5 wide. A logit of 0 is one half.
@@ -256,7 +272,64 @@ fn cases() -> Vec<Case> {
             ],
         ),
         torchvision(),
-    ]
+    ];
+    // An anchor of 2 × 2 at (160, 160): dw = 9 and dh = 4.14 are clamped to ln 62.5, which makes
+    // 125 × 125; dh = 4 is not, and makes 2e⁴. Nothing is clipped.
+    let small = DecodeProposals {
+        anchors: vec![[159.0, 159.0, 161.0, 161.0]],
+        stride: 8,
+        width: 320,
+        height: 320,
+    };
+    let half = 4f64.exp() as f32;
+    cases.push(
+        Case::new(
+            "the clamp by hand",
+            small,
+            vec![
+                values([4, 1, 2], &[0.0, -4.0, 0.0, 0.0, 9.0, 0.0, 4.14, 4.0]),
+                values([2], &[0.0, 0.0]),
+                integers([2], &[0, 1]),
+                count(2),
+            ],
+        )
+        .by_hand(vec![
+            // The second lies one stride to the right, and dx = −4 of 2 brings it back.
+            values([2, 4], &[97.5, 97.5, 222.5, 222.5, 159.0, 160.0 - half, 161.0, 160.0 + half]),
+            values([2], &[0.5, 0.5]),
+        ]),
+    );
+    // An index past the end names the last anchor, here the second at (160, 160) + (8, 0).
+    let past = DecodeProposals {
+        anchors: vec![[-1.0, -1.0, 1.0, 1.0], [159.0, 159.0, 161.0, 161.0]],
+        stride: 8,
+        width: 320,
+        height: 320,
+    };
+    let inputs = vec![
+        Tensor::<f32>::zeros([8, 1, 2]).into(),
+        values([2], &[0.0, 0.0]),
+        integers([2], &[4, 2]),
+        count(9),
+    ];
+    cases.push(Case::new("an index past the end by hand", past, inputs).by_hand(vec![
+        values([2, 4], &[167.0, 159.0, 169.0, 161.0, 7.0, 0.0, 9.0, 1.0]),
+        values([2], &[0.5, 0.5]),
+    ]));
+    let sides = [16.0, 24.0, 32.0, 48.0].map(|s: f32| [s, s / 2.0]).concat();
+    let anchors = (0..12).map(|i| {
+        let [w, h] = [sides[i % 8], sides[(i + 3) % 8]];
+        [-w, -h, w, h]
+    });
+    let rpn = DecodeProposals { anchors: anchors.collect(), stride: 8, width: 320, height: 320 };
+    let inputs = vec![
+        one_way(1000, [48, 40, 40]).into(),
+        one_way(1001, [1000]).into(),
+        random_integers(1002, [1000], 12 * 40 * 40),
+        count(1000),
+    ];
+    cases.push(Case::new("the anchors", rpn, inputs).in_network());
+    cases
 }
 
 /// Computed by torchvision: `AnchorGenerator` and `BoxCoder((1, 1, 1, 1)).decode`, then

@@ -3,10 +3,10 @@
 use crate::cpu;
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
-use crate::ops::case::{Case, integers, random, random_integers, values};
+use crate::ops::case::{Case, integers, one_way, random, random_integers, values};
 use crate::ops::count::{expect_count, live};
-use crate::ops::op::{Entry, Op, Tolerance, dims, expect_inputs};
-use crate::ops::params::Params as Named;
+use crate::ops::op::{Entry, Op, Tolerance, dims};
+use crate::ops::params::{Params as Named, Settings};
 use crate::shape::{DType, Shape, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -53,8 +53,12 @@ fn layout(dims: &[usize]) -> Option<(usize, usize)> {
 }
 
 impl Op for GatherRows {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        Settings::new()
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -65,8 +69,7 @@ impl Op for GatherRows {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let rows = &inputs[0];
         if layout(&rows.shape.0).is_none() {
             let expected = "[N] or [N, M] without a zero";
@@ -137,7 +140,7 @@ fn cases() -> Vec<Case> {
     let count = |n: u32| integers([1], &[n]);
     let three = || values([3, 2], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
     let bits = [f32::NAN, -0.0, f32::INFINITY, 1e-45];
-    vec![
+    let mut cases = vec![
         Case::new("by hand", op, vec![three(), integers([4], &[2, 0, 2, 1]), count(3)])
             .by_hand(vec![values([4, 2], &[5.0, 6.0, 1.0, 2.0, 5.0, 6.0, 0.0, 0.0])]),
         Case::new(
@@ -171,6 +174,11 @@ fn cases() -> Vec<Case> {
             vec![random(3, [97, 13]).into(), random_integers(4, [5], 97), count(5)],
         ),
         Case::new(
+            "whole workgroups to the last",
+            op,
+            vec![random(9, [97, 64]).into(), random_integers(10, [70], 97), count(70)],
+        ),
+        Case::new(
             "wide rows",
             op,
             vec![random(5, [31, 12_547]).into(), random_integers(6, [23], 31), count(19)],
@@ -180,5 +188,17 @@ fn cases() -> Vec<Case> {
             op,
             vec![random(7, [5, 4099]).into(), random_integers(8, [1031], 5), count(1030)],
         ),
-    ]
+    ];
+    let indices = |n: u32| random_integers(1010, [100], n);
+    let ways: Vec<(&str, Value, u32)> = vec![
+        ("candidates' boxes", one_way(1000, [1000, 4]).into(), 1000),
+        ("candidates' scores", one_way(1001, [1000]).into(), 1000),
+        ("detections' boxes", one_way(1002, [200, 4]).into(), 200),
+        ("detections' scores", one_way(1003, [200]).into(), 200),
+        ("detections' classes", random_integers(1004, [200], 3), 200),
+    ];
+    for (name, rows, n) in ways {
+        cases.push(Case::new(name, op, vec![rows, indices(n), count(100)]).in_network());
+    }
+    cases
 }

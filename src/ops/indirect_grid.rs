@@ -2,11 +2,11 @@
 
 use crate::cpu;
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
+use crate::gpu::{Dispatch, Grid, MAX_WORKGROUPS, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, integers};
 use crate::ops::count::{expect_count, live};
-use crate::ops::op::{Entry, Op, Tolerance, expect_inputs};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::op::{Entry, Op, Tolerance};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::{Tensor, Value};
 
@@ -31,10 +31,10 @@ pub static ENTRY: Entry = Entry {
     takes: "count u32 [1]",
     gives: "grid u32 [3]",
     params: &[
-        Param::required("capacity", "100"),
-        Param::optional("items_per_count", "1"),
-        Param::optional("workgroup_size", "64"),
-        Param::optional("layers", "1"),
+        Param::required("capacity", "100", Range::Whole(1, u32::MAX as u64)),
+        Param::optional("items_per_count", "1", Range::Whole(1, u32::MAX as u64)),
+        Param::optional("workgroup_size", "64", Range::Whole(1, 256)),
+        Param::optional("layers", "1", Range::Whole(1, 65_535)),
     ],
     shader: &SHADER,
     build,
@@ -58,8 +58,17 @@ pub struct IndirectGrid {
 }
 
 impl Op for IndirectGrid {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![
+            ("capacity", self.capacity.into()),
+            ("items_per_count", self.items_per_count.into()),
+            ("workgroup_size", self.workgroup_size.into()),
+            ("layers", self.layers.into()),
+        ]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -70,13 +79,7 @@ impl Op for IndirectGrid {
         vec!["grid"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
-        for (param, value) in [("workgroup_size", self.workgroup_size), ("layers", self.layers)] {
-            if value == 0 {
-                return Err(Error::param(self.name(), param, "at least 1", value));
-            }
-        }
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         expect_count(self.name(), Some(&inputs[0]))?;
         let items = (self.capacity as u64).saturating_mul(self.items_per_count.into());
         if items > u64::from(u32::MAX) {
@@ -85,6 +88,12 @@ impl Op for IndirectGrid {
                 needed: items,
                 available: u64::from(u32::MAX),
             });
+        }
+        let groups = items.div_ceil(self.workgroup_size.into());
+        let most = u64::from(MAX_WORKGROUPS).pow(2);
+        if groups > most {
+            let what = format!("workgroups of one dispatch for a count of {}", self.capacity);
+            return Err(Error::Capacity { what, needed: groups, available: most });
         }
         Ok(vec![TensorSpec::u32([3])])
     }

@@ -3,12 +3,12 @@
 use crate::cpu;
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
-use crate::ops::bounds::{magnitude, sum_error};
-use crate::ops::case::{Case, integers, random, values};
+use crate::ops::bounds::{Joined, SumOrder, magnitude};
+use crate::ops::case::{Case, integers, one_way, one_way_sum, random, values};
 use crate::ops::count::{count_tensor, expect_count, live, row_grid};
 use crate::ops::indirect_grid::IndirectGrid;
-use crate::ops::op::{Entry, Op, Tolerance, dims, expect, expect_inputs};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -32,7 +32,7 @@ pub static ENTRY: Entry = Entry {
     name: "linear",
     takes: "input [N, K], weight [O, K], bias [O]; optional: count u32 [1]",
     gives: "output [N, O]",
-    params: &[Param::optional("relu", "false")],
+    params: &[Param::optional("relu", "false", Range::Flag)],
     shader: &SHADER,
     build,
     cases,
@@ -61,8 +61,12 @@ pub struct Linear {
 }
 
 impl Op for Linear {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![("relu", self.relu.into())]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -75,13 +79,12 @@ impl Op for Linear {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
         let [outputs, inner] = dims(name, "weight", &inputs[1], DType::F32)?;
         let shape = &inputs[0].shape;
         let fits = shape.rank() >= 2 && shape.0[1..].iter().product::<usize>() == inner;
-        if !fits || shape.elements() * outputs == 0 || inputs[0].dtype != DType::F32 {
+        if !fits || shape.elements() == 0 || outputs == 0 || inputs[0].dtype != DType::F32 {
             let expected = format!("f32 [R, …] with {inner} elements a row, none zero");
             return Err(Error::tensor(name, "input", expected, &inputs[0]));
         }
@@ -103,8 +106,7 @@ impl Op for Linear {
         let rows = recording.dims(inputs[0])[0];
         let quads = outs.div_ceil(4);
         let inner_quads = inner.div_ceil(4);
-        let slice_quads = inner_quads.div_ceil(MAX_SLICES).max(MIN_SLICE);
-        let slices = inner_quads.div_ceil(slice_quads);
+        let (slices, slice_quads) = slices(inner);
         let columns = quads.div_ceil(LANES);
 
         let packed = recording.constant(format!("{name} (packed)"), pack_weight(weight.f32()?));
@@ -168,16 +170,21 @@ impl Op for Linear {
         Ok(vec![Tensor::new(specs[0].shape.clone(), output)?.into()])
     }
 
-    /// K products, the bias, and the reference's own rounding.
+    /// The shader sums the products of each slice, then the slices and the bias.
     fn tolerance(&self, inputs: &[&Value], reference: &[Value]) -> Result<Vec<Tolerance>> {
         let (input, weight) = (magnitude(inputs[0])?, magnitude(inputs[1])?);
         let rows = live(inputs.get(3).copied(), input.dims()[0])?;
         let sums = cpu::linear(&input, &weight, &magnitude(inputs[2])?, rows, false);
-        let roundings = weight.dims()[1] + 2;
-        let mut each: Vec<f64> =
-            sums.data().iter().map(|s| sum_error(roundings, f64::from(*s))).collect();
+        let (slices, slice_quads) = slices(weight.dims()[1]);
+        let order =
+            SumOrder { terms: 4 * slice_quads, parts: slices, joined: Joined::InOrder, more: 1 };
+        let mut each: Vec<f64> = sums.data().iter().map(|s| order.error(f64::from(*s))).collect();
         each.resize(reference[0].spec().shape.elements(), 0.0);
         Ok(vec![Tolerance::Each(each)])
+    }
+
+    fn unbiased(&self) -> bool {
+        true
     }
 
     fn defined(&self, reference: &[&Value], inputs: &[&Value]) -> Vec<usize> {
@@ -185,6 +192,13 @@ impl Op for Linear {
         let rows = live(inputs.get(3).copied(), shape.0[0]).unwrap_or(0);
         vec![rows * shape.0[1]]
     }
+}
+
+/// Into how many slices a row of `inner` inputs is cut, and how many vec4 each has at most.
+fn slices(inner: usize) -> (usize, usize) {
+    let quads = inner.div_ceil(4);
+    let each = quads.div_ceil(MAX_SLICES).max(MIN_SLICE);
+    (quads.div_ceil(each), each)
 }
 
 /// `[O, K]` to `[K, O]`, with zeros up to whole numbers of four.
@@ -224,6 +238,17 @@ fn cases() -> Vec<Case> {
             inputs
         })
         .by_hand(vec![values([2, 2], &[6.5, 0.0, 0.0, 0.0])]),
+        // PyTorch's ReLU keeps it: an overflow must reach the outputs.
+        Case::new(
+            "a NaN goes through the ReLU",
+            Linear { relu: true, count: false },
+            vec![
+                values([3, 1], &[-1.0, f32::NAN, 0.5]),
+                values([1, 1], &[1.0]),
+                values([1], &[0.0]),
+            ],
+        )
+        .by_hand(vec![values([3, 1], &[0.0, f32::NAN, 0.5])]),
     ];
     // (name, input, outputs, count, relu)
     let sets = [
@@ -231,6 +256,8 @@ fn cases() -> Vec<Case> {
         ("primes", vec![7, 61], 37, None, true),
         ("a tile less one, a slice less one", vec![7, 63], 255, Some(7), false),
         ("a tile and one, a slice and one", vec![9, 65], 257, Some(9), false),
+        ("a whole tile", vec![8, 12], 5, None, false),
+        ("two whole tiles, counted", vec![20, 12], 5, Some(16), false),
         ("a row of feature maps", vec![11, 16, 7, 7], 20, Some(10), true),
         ("fc6, narrow", vec![17, 256, 7, 7], 68, Some(17), true),
         ("fc7", vec![100, 512], 512, Some(13), true),
@@ -256,5 +283,23 @@ fn cases() -> Vec<Case> {
     }
     let inputs = vec![wide.into(), random(98, [9, 250]).into(), random(97, [9]).into()];
     cases.push(Case::new("twelve orders of magnitude", plain, inputs));
+    let layers = [
+        (vec![100, 256, 7, 7], 512, true),
+        (vec![100, 512], 512, true),
+        (vec![100, 512], 3, false),
+        (vec![100, 512], 12, false),
+    ];
+    for (i, (shape, outputs, relu)) in layers.into_iter().enumerate() {
+        let seed = 1000 + i as u64 * 10;
+        let inner = shape[1..].iter().product();
+        let inputs = vec![
+            one_way(seed, crate::shape::Shape(shape)).into(),
+            one_way(seed + 1, [outputs, inner]).into(),
+            one_way_sum(seed + 2, [outputs], inner),
+            integers([1], &[100]),
+        ];
+        let name = format!("{inner} to {outputs}, as the RoI head");
+        cases.push(Case::new(name, Linear { relu, count: true }, inputs).in_network());
+    }
     cases
 }

@@ -3,9 +3,9 @@
 use crate::cpu;
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
-use crate::ops::case::{Case, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect_inputs, map_dims};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::case::{Case, one_way, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, map_dims};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
@@ -34,9 +34,9 @@ pub static ENTRY: Entry = Entry {
     takes: "input [C, H, W]",
     gives: "output [C, H', W']",
     params: &[
-        Param::required("kernel", "3"),
-        Param::optional("stride", "kernel"),
-        Param::optional("padding", "0"),
+        Param::required("kernel", "3", Range::Whole(1, 4096)),
+        Param::optional("stride", "kernel", Range::Whole(1, 4096)),
+        Param::optional("padding", "0", Range::Whole(0, 2048)),
     ],
     shader: &SHADER,
     build,
@@ -58,8 +58,16 @@ pub struct MaxPool2d {
 }
 
 impl Op for MaxPool2d {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![
+            ("kernel", self.kernel.into()),
+            ("stride", self.stride.into()),
+            ("padding", self.padding.into()),
+        ]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -70,14 +78,8 @@ impl Op for MaxPool2d {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
-        for (param, value) in [("kernel", self.kernel), ("stride", self.stride)] {
-            if !(1..=4096).contains(&value) {
-                return Err(Error::param(name, param, "1 to 4096", value));
-            }
-        }
         if self.padding > self.kernel / 2 {
             let expected = format!("at most half the kernel ({})", self.kernel / 2);
             return Err(Error::param(name, "padding", expected, self.padding));
@@ -151,6 +153,16 @@ fn cases() -> Vec<Case> {
             vec![values([1, 3, 3], &[-1.0, -2.0, -3.0, -4.0, -9.0, -6.0, -7.0, -8.0, -5.0])],
         )
         .by_hand(vec![values([1, 2, 2], &[-1.0, -2.0, -4.0, -5.0])]),
+        // An infinity is no NaN: −∞ loses, ∞ wins.
+        Case::new(
+            "infinities by hand",
+            op(2, 2, 0),
+            vec![values(
+                [1, 2, 4],
+                &[1.0, -f32::INFINITY, f32::INFINITY, 2.0, -2.0, -f32::INFINITY, 3.0, f32::MAX],
+            )],
+        )
+        .by_hand(vec![values([1, 1, 2], &[1.0, f32::INFINITY])]),
         // As PyTorch's: an overflow must reach the outputs, where the host looks for it.
         Case::new(
             "a NaN stays, wherever it is in its window",
@@ -174,5 +186,7 @@ fn cases() -> Vec<Case> {
     }
     cases.push(Case::new("1e30", op(3, 2, 1), vec![random_scaled(90, [3, 9, 9], 1e30)]));
     cases.push(Case::new("1e-30", op(3, 2, 1), vec![random_scaled(91, [3, 9, 9], 1e-30)]));
+    let input = one_way(1000, [64, 160, 160]).into();
+    cases.push(Case::new("after conv1", op(3, 2, 1), vec![input]).in_network());
     cases
 }

@@ -6,8 +6,8 @@ use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::boxes::row;
 use crate::ops::case::{Case, integers, random, random_boxes, random_integers, values};
 use crate::ops::count::{count_tensor, expect_count, live};
-use crate::ops::op::{Entry, Op, Tolerance, dims, expect, expect_inputs};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::ops::top_k::TopK;
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
@@ -34,11 +34,11 @@ pub static ENTRY: Entry = Entry {
     takes: "boxes [N, 4], scores [N], N at most 1024 on a GPU; optional: classes u32 [N], count u32 [1]",
     gives: "keep u32 [min(N, max_out)], count u32 [1]",
     params: &[
-        Param::optional("iou_threshold", "0.5"),
-        Param::optional("max_out", "1024"),
-        Param::optional("min_score", "-inf"),
-        Param::optional("min_size", "0"),
-        Param::optional("sorted", "false"),
+        Param::optional("iou_threshold", "0.5", Range::Number(0.0, 1.0)),
+        Param::optional("max_out", "1024", Range::Whole(1, u32::MAX as u64)),
+        Param::optional("min_score", "-inf", Range::Number(f32::NEG_INFINITY, f32::MAX)),
+        Param::optional("min_size", "0", Range::Number(0.0, f32::MAX)),
+        Param::optional("sorted", "false", Range::Flag),
     ],
     shader: &SHADER,
     build,
@@ -100,8 +100,18 @@ impl Nms {
 }
 
 impl Op for Nms {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![
+            ("iou_threshold", self.iou_threshold.into()),
+            ("max_out", self.max_out.into()),
+            ("min_score", self.min_score.into()),
+            ("min_size", self.min_size.into()),
+            ("sorted", self.sorted.into()),
+        ]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -115,20 +125,8 @@ impl Op for Nms {
         vec!["keep", "count"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
-        if self.max_out == 0 {
-            return Err(Error::param(name, "max_out", "at least 1", self.max_out));
-        }
-        if !(0.0..=1.0).contains(&self.iou_threshold) {
-            return Err(Error::param(name, "iou_threshold", "0 to 1", self.iou_threshold));
-        }
-        for (param, value) in [("min_score", self.min_score), ("min_size", self.min_size)] {
-            if value.is_nan() {
-                return Err(Error::param(name, param, "a number", value));
-            }
-        }
         let [n, sides] = dims(name, "boxes", &inputs[0], DType::F32)?;
         if sides != 4 || n == 0 {
             let expected = "f32 [N, 4] with N above 0";
@@ -368,5 +366,18 @@ fn cases() -> Vec<Case> {
         let name = format!("whole pixels at {iou_threshold}");
         cases.push(Case::new(name, op, vec![boxes.into(), scores.into()]));
     }
+    let proposals =
+        Nms { iou_threshold: 0.7, max_out: 100, min_size: 1e-3, sorted: true, count: true, ..half };
+    let inputs =
+        vec![random_boxes(1000, 1000, 320.0, 120.0).into(), ranks(1000), integers([1], &[1000])];
+    cases.push(Case::new("the proposals", proposals, inputs).in_network());
+    let detections = Nms { max_out: 100, min_score: 0.05, classes: true, count: true, ..half };
+    let inputs = vec![
+        random_boxes(1010, 200, 320.0, 120.0).into(),
+        random(1011, [200]).into(),
+        random_integers(1012, [200], 2),
+        integers([1], &[200]),
+    ];
+    cases.push(Case::new("the detections", detections, inputs).in_network());
     cases
 }

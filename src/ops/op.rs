@@ -6,14 +6,22 @@ use std::fmt::Debug;
 use crate::error::{Error, Result};
 use crate::gpu::{Recording, Shader, TensorId};
 use crate::ops::case::Case;
-use crate::ops::params::{Param, Params};
+use crate::ops::params::{Param, Params, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
 /// One operation with its parameters.
 pub trait Op: Any + Debug + Send + Sync {
+    /// The operation's entry in [`crate::ops::OPS`].
+    fn entry(&self) -> &'static Entry;
+
     /// Stem of the operation's files.
-    fn name(&self) -> &'static str;
+    fn name(&self) -> &'static str {
+        self.entry().name
+    }
+
+    /// The value of each of the entry's parameters, in their order.
+    fn settings(&self) -> Settings;
 
     /// Names of the inputs that this instance takes, in order.
     fn inputs(&self) -> Vec<&'static str>;
@@ -21,11 +29,31 @@ pub trait Op: Any + Debug + Send + Sync {
     /// Names of the outputs, in order.
     fn outputs(&self) -> Vec<&'static str>;
 
-    /// Checks the inputs' shapes and types and tells the outputs'.
+    /// Checks the parameters and the inputs' shapes and types, and tells the outputs'.
     ///
     /// # Errors
-    /// [`Error::Tensor`] or [`Error::Param`] that names what does not fit.
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>>;
+    /// [`Error::Param`] or [`Error::Tensor`] that names what does not fit, [`Error::Capacity`] for
+    /// a tensor whose elements a u32 does not count: so shaders count.
+    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+        check_settings(self)?;
+        let names = self.inputs();
+        expect_inputs(self.name(), &names, inputs.len())?;
+        for (name, spec) in names.into_iter().zip(inputs) {
+            check_size(self.name(), name, spec)?;
+        }
+        let outputs = self.shapes(inputs)?;
+        for (name, spec) in self.outputs().into_iter().zip(&outputs) {
+            check_size(self.name(), name, spec)?;
+        }
+        Ok(outputs)
+    }
+
+    /// What [`Op::infer`] leaves to the operation: `inputs` are as many as it names, and its
+    /// parameters are each in its range. Products of a tensor's dimensions fit in a u32.
+    ///
+    /// # Errors
+    /// As [`Op::infer`].
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>>;
 
     /// Appends the dispatches that compute `outputs` from `inputs`, whose shapes `infer` accepted.
     ///
@@ -58,6 +86,12 @@ pub trait Op: Any + Debug + Send + Sync {
     /// As [`Op::infer`].
     fn tolerance(&self, inputs: &[&Value], reference: &[Value]) -> Result<Vec<Tolerance>>;
 
+    /// Whether the errors are the roundings of sums and products alone: each falls to either side, so
+    /// that they cancel over a tensor. What stays the same in every element is then no rounding.
+    fn unbiased(&self) -> bool {
+        false
+    }
+
     /// How many leading elements of each output are defined, where a count on the device decides;
     /// what lies behind them is neither written nor compared.
     fn defined(&self, reference: &[&Value], _inputs: &[&Value]) -> Vec<usize> {
@@ -76,6 +110,42 @@ pub enum Tolerance {
     Each(Vec<f64>),
 }
 
+impl Tolerance {
+    /// The bound of element `i`.
+    pub fn limit(&self, i: usize) -> f64 {
+        match self {
+            Self::Exact => 0.0,
+            Self::Uniform(bound) => *bound,
+            Self::Each(bounds) => bounds[i],
+        }
+    }
+
+    /// The error of element `i` and the most that it may be; an error that is not a number is above
+    /// every bound.
+    pub fn judge(&self, got: &Value, want: &Value, i: usize) -> (f64, f64) {
+        let limit = self.limit(i);
+        match (got, want) {
+            (Value::F32(got), Value::F32(want)) => {
+                let (got, want) = (got.data()[i], want.data()[i]);
+                // A NaN among the inputs leaves no bound either, but must stay one.
+                let both_nan = got.is_nan() && want.is_nan();
+                let error = match got.to_bits() == want.to_bits() {
+                    true => 0.0,
+                    // −0 is not 0 where bits count.
+                    false if *self == Self::Exact => f64::INFINITY,
+                    false if got == want || both_nan => 0.0,
+                    false => (f64::from(got) - f64::from(want)).abs(),
+                };
+                (error, if both_nan { 0.0 } else { limit })
+            }
+            (Value::U32(got), Value::U32(want)) => {
+                (f64::from(got.data()[i].abs_diff(want.data()[i])), 0.0)
+            }
+            _ => (f64::INFINITY, 0.0),
+        }
+    }
+}
+
 /// Unit roundoff of f32: half the distance from 1 to the next float.
 pub const EPS: f64 = f32::EPSILON as f64 / 2.0;
 
@@ -91,7 +161,7 @@ pub struct Entry {
     pub takes: &'static str,
     /// Its outputs, likewise.
     pub gives: &'static str,
-    /// The parameters that [`Entry::build`] takes.
+    /// Its parameters with their ranges; [`Entry::build`] takes them but those by tensors.
     pub params: &'static [Param],
     /// Its shader.
     pub shader: &'static Shader,
@@ -101,14 +171,33 @@ pub struct Entry {
     pub cases: fn() -> Vec<Case>,
 }
 
+/// Checks that each parameter is declared, and in its range.
+fn check_settings(op: &(impl Op + ?Sized)) -> Result<()> {
+    let entry = op.entry();
+    for (name, setting) in op.settings() {
+        let declared = entry.params.iter().find(|p| p.name == name);
+        let expected = declared.map_or("a declared parameter".into(), |p| p.range.to_string());
+        if !declared.is_some_and(|p| p.range.admits(&setting)) {
+            return Err(Error::param(entry.name, name, expected, setting));
+        }
+    }
+    Ok(())
+}
+
 /// Checks that as many inputs came as the operation names.
-///
-/// # Errors
-/// [`Error::Tensor`].
-pub fn expect_inputs(op: &dyn Op, got: usize) -> Result<()> {
-    let names = op.inputs();
+fn expect_inputs(op: &str, names: &[&str], got: usize) -> Result<()> {
     if names.len() != got {
-        return Err(Error::tensor(op.name(), &names.join(", "), names.len(), got));
+        return Err(Error::tensor(op, &names.join(", "), names.len(), got));
+    }
+    Ok(())
+}
+
+/// Checks that a u32 counts a tensor's elements, and any part of its dimensions where one is zero.
+fn check_size(op: &str, tensor: &str, spec: &TensorSpec) -> Result<()> {
+    let elements = spec.shape.0.iter().fold(1u64, |n, d| n.saturating_mul((*d).max(1) as u64));
+    if elements > u64::from(u32::MAX) {
+        let what = format!("{op}: elements of `{tensor}`");
+        return Err(Error::Capacity { what, needed: elements, available: u32::MAX.into() });
     }
     Ok(())
 }

@@ -1,30 +1,151 @@
-//! Named parameters as text, for building an operation from a command line.
+//! Parameters of operations: what each is called, its range, and reading it as text.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::str::FromStr;
 
 use crate::error::{Error, Result};
 
-/// A parameter that an operation takes on a command line.
+/// A parameter of an operation.
 #[derive(Clone, Copy, Debug)]
 pub struct Param {
     /// Its name.
     pub name: &'static str,
-    /// Its default, or where it must be given an example.
+    /// Its default, or where it must be given an example; empty if the tensors decide it.
     pub value: &'static str,
     /// Whether it must be given.
     pub required: bool,
+    /// Whether no command line gives it, but the tensors that are present decide it.
+    pub by_tensors: bool,
+    /// What [`Op::infer`](crate::ops::Op::infer) lets it be.
+    pub range: Range,
 }
 
 impl Param {
-    pub(crate) const fn optional(name: &'static str, default: &'static str) -> Self {
-        Self { name, value: default, required: false }
+    pub(crate) const fn optional(name: &'static str, default: &'static str, range: Range) -> Self {
+        Self { name, value: default, required: false, by_tensors: false, range }
     }
 
-    pub(crate) const fn required(name: &'static str, example: &'static str) -> Self {
-        Self { name, value: example, required: true }
+    pub(crate) const fn required(name: &'static str, example: &'static str, range: Range) -> Self {
+        Self { name, value: example, required: true, by_tensors: false, range }
+    }
+
+    pub(crate) const fn by_tensors(name: &'static str, range: Range) -> Self {
+        Self { name, value: "", required: false, by_tensors: true, range }
     }
 }
+
+/// The values that a parameter may have, both ends included. NaN is in no range.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Range {
+    /// True or false.
+    Flag,
+    /// Whole numbers.
+    Whole(u64, u64),
+    /// Numbers.
+    Number(f32, f32),
+    /// Lists of such numbers.
+    Numbers(f32, f32),
+}
+
+impl Range {
+    /// Whether `setting` is in the range.
+    pub fn admits(&self, setting: &Setting) -> bool {
+        match (self, setting) {
+            (Self::Flag, Setting::Flag(_)) => true,
+            (Self::Whole(least, most), Setting::Whole(n)) => (least..=most).contains(&n),
+            (Self::Number(least, most), Setting::Number(x)) => (least..=most).contains(&x),
+            (Self::Numbers(least, most), Setting::Numbers(list)) => {
+                list.iter().all(|x| (least..=most).contains(&x))
+            }
+            _ => false,
+        }
+    }
+}
+
+impl fmt::Display for Range {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Flag => f.write_str("true or false"),
+            Self::Whole(least, most) => write!(f, "{least} to {most}"),
+            Self::Number(least, most) => write!(f, "{} to {}", Short(*least), Short(*most)),
+            Self::Numbers(least, most) => {
+                write!(f, "numbers from {} to {}", Short(*least), Short(*most))
+            }
+        }
+    }
+}
+
+/// A number without its many zeros.
+struct Short(f32);
+
+impl fmt::Display for Short {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let plain = self.0 == 0.0 || (1e-5..1e7).contains(&self.0.abs());
+        if plain { self.0.fmt(f) } else { write!(f, "{:e}", self.0) }
+    }
+}
+
+/// A parameter's value in an operation.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Setting {
+    /// True or false.
+    Flag(bool),
+    /// A whole number.
+    Whole(u64),
+    /// A number.
+    Number(f32),
+    /// A list of numbers.
+    Numbers(Vec<f32>),
+}
+
+impl From<bool> for Setting {
+    fn from(value: bool) -> Self {
+        Self::Flag(value)
+    }
+}
+
+impl From<u32> for Setting {
+    fn from(value: u32) -> Self {
+        Self::Whole(value.into())
+    }
+}
+
+impl From<usize> for Setting {
+    fn from(value: usize) -> Self {
+        Self::Whole(value as u64)
+    }
+}
+
+impl From<f32> for Setting {
+    fn from(value: f32) -> Self {
+        Self::Number(value)
+    }
+}
+
+impl From<&[f32]> for Setting {
+    fn from(values: &[f32]) -> Self {
+        Self::Numbers(values.to_vec())
+    }
+}
+
+/// As a command line gives it.
+impl fmt::Display for Setting {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Flag(value) => value.fmt(f),
+            Self::Whole(n) => n.fmt(f),
+            Self::Number(x) => Short(*x).fmt(f),
+            Self::Numbers(list) => {
+                let list: Vec<String> = list.iter().map(|x| Short(*x).to_string()).collect();
+                f.write_str(&list.join(","))
+            }
+        }
+    }
+}
+
+/// An operation's parameters by name, as [`Op::settings`](crate::ops::Op::settings) tells them.
+pub type Settings = Vec<(&'static str, Setting)>;
 
 /// Parameters by name; each may be taken once, and [`Params::finish`] refuses leftovers.
 #[derive(Clone, Debug)]
@@ -74,6 +195,36 @@ impl Params {
         text.split(',').map(|part| self.parse(name, part.trim())).collect()
     }
 
+    /// Takes a comma-separated list of `N`, which must be given.
+    ///
+    /// # Errors
+    /// As [`Params::require_list`], and [`Error::Param`] for another number of elements.
+    pub fn require_array<T: FromStr, const N: usize>(
+        &mut self,
+        name: &'static str,
+    ) -> Result<[T; N]> {
+        let list: Vec<T> = self.require_list(name)?;
+        let got = list.len();
+        <[T; N]>::try_from(list)
+            .map_err(|_| Error::param(&self.op, name, format!("{N} numbers"), got))
+    }
+
+    /// Takes a comma-separated list of `N`, or `default` if it was not given.
+    ///
+    /// # Errors
+    /// As [`Params::require_array`].
+    pub fn take_array<T: FromStr, const N: usize>(
+        &mut self,
+        name: &'static str,
+        default: [T; N],
+    ) -> Result<[T; N]> {
+        self.known.push(name);
+        match self.values.contains_key(name) {
+            false => Ok(default),
+            true => self.require_array(name),
+        }
+    }
+
     fn parse<T: FromStr>(&self, name: &str, text: &str) -> Result<T> {
         let wrong = |_| Error::param(&self.op, name, kind::<T>(), format!("`{text}`"));
         text.parse().map_err(wrong)
@@ -119,8 +270,9 @@ mod tests {
     #[test]
     fn the_listed_parameters_are_those_that_are_taken() {
         for entry in OPS {
+            let given = entry.params.iter().filter(|p| !p.by_tensors);
             let required: Vec<_> =
-                entry.params.iter().filter(|p| p.required).map(|p| (p.name, p.value)).collect();
+                given.clone().filter(|p| p.required).map(|p| (p.name, p.value)).collect();
             build(entry, &required).unwrap_or_else(|e| panic!("{}: {e}", entry.name));
             for (i, (name, _)) in required.iter().enumerate() {
                 let others = [&required[..i], &required[i + 1..]].concat();
@@ -128,7 +280,7 @@ mod tests {
                 assert!(error.contains(&format!("`{name}`")), "{error}");
             }
             // A value that no type parses: the message tells whether the name is known.
-            for optional in entry.params.iter().filter(|p| !p.required) {
+            for optional in given.clone().filter(|p| !p.required) {
                 let given = [&required[..], &[(optional.name, "?")]].concat();
                 let error = build(entry, &given).expect_err("no value").to_string();
                 assert!(error.contains(&format!("`{}`", optional.name)), "{error}");
@@ -136,7 +288,7 @@ mod tests {
             }
             let error = build(entry, &[&required[..], &[("nope", "1")]].concat());
             let error = error.expect_err("an unknown parameter").to_string();
-            assert!(entry.params.iter().all(|p| error.contains(p.name)), "{error}");
+            assert!(given.clone().all(|p| error.contains(p.name)), "{error}");
         }
     }
 

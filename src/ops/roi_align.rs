@@ -6,8 +6,8 @@ use crate::gpu::{Dispatch, Recording, Shader, TensorId, shader_params};
 use crate::ops::boxes::row;
 use crate::ops::case::{Case, integers, random, random_boxes, values};
 use crate::ops::count::{count_tensor, expect_count, live, row_grid};
-use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect_inputs};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::op::{EPS, Entry, Op, Tolerance, dims};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -32,9 +32,9 @@ pub static ENTRY: Entry = Entry {
     takes: "features [C, H, W], boxes [N, 4]; optional: count u32 [1]",
     gives: "output [N, C, output_size, output_size]",
     params: &[
-        Param::required("spatial_scale", "0.125"),
-        Param::required("output_size", "7"),
-        Param::optional("sampling_ratio", "2"),
+        Param::required("spatial_scale", "0.125", Range::Number(1e-4, 1e4)),
+        Param::required("output_size", "7", Range::Whole(1, 256)),
+        Param::optional("sampling_ratio", "2", Range::Whole(1, 256)),
     ],
     shader: &SHADER,
     build,
@@ -70,8 +70,16 @@ impl RoiAlign {
 }
 
 impl Op for RoiAlign {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![
+            ("spatial_scale", self.spatial_scale.into()),
+            ("output_size", self.output_size.into()),
+            ("sampling_ratio", self.sampling_ratio.into()),
+        ]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -84,17 +92,10 @@ impl Op for RoiAlign {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
-        let sizes = [("output_size", self.output_size), ("sampling_ratio", self.sampling_ratio)];
-        for (param, value) in sizes {
-            if !(1..=256).contains(&value) {
-                return Err(Error::param(name, param, "1 to 256", value));
-            }
-        }
         let [c, h, w] = dims(name, "features", &inputs[0], DType::F32)?;
-        if c * h * w == 0 {
+        if [c, h, w].contains(&0) {
             let expected = "f32 [C, H, W] without a zero";
             return Err(Error::tensor(name, "features", expected, &inputs[0]));
         }
@@ -266,6 +267,32 @@ fn cases() -> Vec<Case> {
             ],
         )
         .by_hand(vec![values([3, 1, 1, 1], &[0.0, 33.0, 0.0])]),
+        // f = 10y + x + 5 on 3 × 5 features. Exactly at −1 and at the length there is still the edge:
+        // x = −1, y = −1, x = 5 and y = 3 give f(0, 1), f(1, 0), f(4, 1), f(1, 2). A quarter further
+        // there is nothing. All coordinates are sums of quarters, which nothing rounds.
+        Case::new(
+            "exactly at the edges by hand",
+            one,
+            vec![
+                Tensor::from_fn([1, 3, 5], |i| (10 * (i / 5) + i % 5 + 5) as f32).into(),
+                values(
+                    [8, 4],
+                    &[
+                        [-1.0, 1.0, 0.0, 2.0],
+                        [1.0, -1.0, 2.0, 0.0],
+                        [5.0, 1.0, 6.0, 2.0],
+                        [1.0, 3.0, 2.0, 4.0],
+                        [-1.25, 1.0, -0.25, 2.0],
+                        [1.0, -1.25, 2.0, -0.25],
+                        [5.25, 1.0, 6.25, 2.0],
+                        [1.0, 3.25, 2.0, 4.25],
+                    ]
+                    .concat(),
+                ),
+            ],
+        )
+        .by_hand(vec![values([8, 1, 1, 1], &[15.0, 6.0, 19.0, 26.0, 0.0, 0.0, 0.0, 0.0])])
+        .exact(),
         // Four samples at 0.75 and 1.25 of each axis, whose mean is at 1: 11.
         Case::new(
             "four samples and one box counted by hand",
@@ -309,6 +336,13 @@ fn cases() -> Vec<Case> {
         let inputs = vec![random(seed + 1, shape).into(), boxes.into(), integers([1], &[count])];
         cases.push(Case::new(name, op, inputs));
     }
+    // Features that differ by less than f16 can tell.
+    let mut features = random(1000, [256, 40, 40]);
+    features.data_mut().iter_mut().for_each(|x| *x = 1.0 + (1.0 + 0.5 * *x) / 4096.0);
+    let head = RoiAlign { spatial_scale: 0.125, output_size: 7, ..counted };
+    let inputs =
+        vec![features.into(), random_boxes(1001, 100, 320.0, 120.0).into(), integers([1], &[100])];
+    cases.push(Case::new("the RoI head", head, inputs).in_network());
     cases
 }
 

@@ -3,13 +3,13 @@
 use crate::cpu;
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
-use crate::ops::bounds::{magnitude, sum_error};
-use crate::ops::case::{Case, random, random_scaled, values};
-use crate::ops::channel_gate::f32s;
-use crate::ops::op::{EPS, Entry, Op, Tolerance, check_inputs, dims, expect, expect_inputs};
-use crate::ops::params::Params as Named;
+use crate::ops::bounds::{SumOrder, magnitude};
+use crate::ops::case::{Case, one_way, one_way_sum, random, random_scaled, values};
+use crate::ops::channel_gate::{LANES, f32s};
+use crate::ops::op::{EPS, Entry, Op, Tolerance, check_inputs, dims, expect};
+use crate::ops::params::{Params as Named, Settings};
 use crate::shape::{DType, TensorSpec};
-use crate::tensor::Value;
+use crate::tensor::{Tensor, Value};
 
 shader_params! {
     struct Params {
@@ -50,8 +50,12 @@ const MAX_SCALES: usize = 256;
 pub struct ScaleWeights;
 
 impl Op for ScaleWeights {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        Settings::new()
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -62,8 +66,7 @@ impl Op for ScaleWeights {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
         let [length] = dims(name, "pooled", &inputs[0], DType::F32)?;
         let [hidden, columns] = dims(name, "fc1_weight", &inputs[1], DType::F32)?;
@@ -123,11 +126,13 @@ impl Op for ScaleWeights {
         let [hidden, length] = [0, 1].map(|i| sizes[1].dims()[i]);
         let scales = sizes[3].dims()[0];
         let at = |t: usize, i: usize| f64::from(sizes[t].data()[i]);
+        let first = SumOrder::dealt(length, LANES).and(1);
+        let second = SumOrder::serial(hidden).and(1);
         let units: Vec<(f64, f64)> = (0..hidden)
             .map(|m| {
                 let dot = |n| at(1, m * length + n) * at(0, n);
                 let size = (0..length).map(dot).sum::<f64>() + at(2, m);
-                (size, sum_error(length + 2, size))
+                (size, first.error(size))
             })
             .collect();
         let logit_error = |k: usize| {
@@ -136,7 +141,7 @@ impl Op for ScaleWeights {
                 size += at(3, k * hidden + m) * unit.0;
                 error += at(3, k * hidden + m) * unit.1;
             }
-            error + sum_error(hidden + 2, size)
+            error + second.error(size)
         };
         let worst = (0..scales).map(logit_error).fold(0.0, f64::max);
         let rounding = (21 + 3 * scales) as f64 * EPS + f64::from(f32::MIN_POSITIVE);
@@ -213,5 +218,25 @@ fn cases() -> Vec<Case> {
         let inputs = mlp(i as u64 * 10, length, hidden, scales, scale);
         cases.push(Case::new(name, ScaleWeights, inputs));
     }
+    // Rows of the second layer of different size, so that an error does not shift all logits alike,
+    // and a bias that brings the logits together again: all weights are near one third.
+    let mut rows = one_way(1003, [3, 64]);
+    rows.data_mut().iter_mut().enumerate().for_each(|(i, w)| *w /= [1.0, 4.0, 16.0][i / 64]);
+    let (pooled, fc1) = (one_way(1000, [768]), one_way(1001, [64, 768]));
+    let bias = one_way_sum(1002, [64], 768);
+    let bias_of = |m: usize| match &bias {
+        Value::F32(tensor) => f64::from(tensor.data()[m]),
+        Value::U32(_) => 0.0,
+    };
+    let at = |tensor: &Tensor, i: usize| f64::from(tensor.data()[i]);
+    let unit = |m: usize| {
+        let dot = (0..768).map(|n| at(&fc1, m * 768 + n) * at(&pooled, n));
+        dot.sum::<f64>() + bias_of(m)
+    };
+    let units: Vec<f64> = (0..64).map(unit).collect();
+    let logit = |k: usize| (0..64).map(|m| at(&rows, k * 64 + m) * units[m]).sum::<f64>();
+    let back = Tensor::from_fn([3], |k| -logit(k) as f32);
+    let inputs = vec![pooled.into(), fc1.into(), bias.clone(), rows.into(), back.into()];
+    cases.push(Case::new("the network's, in balance", ScaleWeights, inputs).in_network());
     cases
 }

@@ -3,10 +3,10 @@
 use crate::cpu;
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Recording, Shader, TensorId, shader_params};
-use crate::ops::case::{Case, integers, random, values};
+use crate::ops::case::{Case, integers, one_way, random, values};
 use crate::ops::count::{count_tensor, expect_count, live, row_grid};
-use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect_inputs};
-use crate::ops::params::Params as Named;
+use crate::ops::op::{EPS, Entry, Op, Tolerance, dims};
+use crate::ops::params::{Params as Named, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -45,8 +45,12 @@ pub struct Softmax {
 }
 
 impl Op for Softmax {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        Settings::new()
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -59,8 +63,7 @@ impl Op for Softmax {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let [rows, columns] = dims(self.name(), "input", &inputs[0], DType::F32)?;
         if rows * columns == 0 {
             let expected = "f32 [R, N] without a zero";
@@ -151,6 +154,13 @@ fn cases() -> Vec<Case> {
             vec![values([2, 2], &[3.0, 3.0, 1.0, 2.0]), integers([1], &[1])],
         )
         .by_hand(vec![values([2, 2], &[0.5, 0.5, 0.0, 0.0])]),
+        // The highest in each lane's second column: exp would overflow with another maximum.
+        Case::new(
+            "the highest behind 64 columns by hand",
+            all,
+            vec![Tensor::from_fn([1, 70], |i| if i == 69 { 1000.0 } else { 0.0 }).into()],
+        )
+        .by_hand(vec![Tensor::from_fn([1, 70], |i| if i == 69 { 1.0 } else { 0.0 }).into()]),
         Case::new("nothing counted", counted, vec![random(1, [3, 5]).into(), integers([1], &[0])]),
         Case::new("past 65 535 rows", all, vec![random(2, [65_537, 2]).into()]),
     ];
@@ -161,5 +171,7 @@ fn cases() -> Vec<Case> {
         let inputs = vec![input.into(), integers([1], &[rows as u32])];
         cases.push(Case::new(format!("{rows} × {columns}"), counted, inputs));
     }
+    let inputs = vec![one_way(1000, [100, 3]).into(), integers([1], &[100])];
+    cases.push(Case::new("the regions' classes", counted, inputs).in_network());
     cases
 }

@@ -3,10 +3,10 @@
 use crate::cpu::{self, ConvShape};
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
-use crate::ops::bounds::{magnitude, sigmoid_error, sum_error};
-use crate::ops::case::{Case, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, expect_inputs, map_dims};
-use crate::ops::params::Params as Named;
+use crate::ops::bounds::{SumOrder, magnitude, sigmoid_error};
+use crate::ops::case::{Case, one_way, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, map_dims};
+use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::{Tensor, Value};
 
@@ -45,8 +45,12 @@ const PIXELS: usize = 4;
 pub struct SpatialGate;
 
 impl Op for SpatialGate {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        Settings::new()
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -57,8 +61,7 @@ impl Op for SpatialGate {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
         let [maps, height, width] = map_dims(name, "pooled", &inputs[0])?;
         if maps != 2 {
@@ -100,7 +103,8 @@ impl Op for SpatialGate {
             [magnitude(inputs[0])?, magnitude(inputs[1])?, magnitude(inputs[2])?];
         let shape = ConvShape { stride: 1, padding: 3, dilation: 1 };
         let sizes = cpu::conv2d(&pooled, &weight, Some(&bias), None, shape, false);
-        let each = sizes.data().iter().map(|s| sigmoid_error(sum_error(100, f64::from(*s))));
+        let order = SumOrder::serial(98).and(1);
+        let each = sizes.data().iter().map(|s| sigmoid_error(order.error(f64::from(*s))));
         Ok(vec![Tolerance::Each(each.collect())])
     }
 }
@@ -165,6 +169,19 @@ fn cases() -> Vec<Case> {
             random(seed + 2, [1]).into(),
         ];
         cases.push(Case::new(name, SpatialGate, inputs));
+    }
+    for (i, edge) in [160, 80, 40, 20, 10].into_iter().enumerate() {
+        let seed = 1000 + i as u64 * 10;
+        let pooled = one_way(seed, [2, edge, edge]);
+        let weight = one_way(seed + 1, [1, 2, 7, 7]);
+        // A bias that takes the middle's logit back to where the gate is steep.
+        let tap = |i: usize| {
+            let (plane, y, x) = (i / 49, edge / 2 + i / 7 % 7 - 3, edge / 2 + i % 7 - 3);
+            weight.data()[i] * pooled.data()[(plane * edge + y) * edge + x]
+        };
+        let bias = -(0..98).map(tap).sum::<f32>();
+        let inputs = vec![pooled.into(), weight.into(), values([1], &[bias])];
+        cases.push(Case::new(format!("{edge} × {edge}"), SpatialGate, inputs).in_network());
     }
     cases
 }

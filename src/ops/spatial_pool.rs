@@ -3,10 +3,10 @@
 use crate::cpu;
 use crate::error::Result;
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
-use crate::ops::bounds::{magnitude, sum_error};
-use crate::ops::case::{Case, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, expect_inputs, map_dims};
-use crate::ops::params::Params as Named;
+use crate::ops::bounds::{SumOrder, magnitude, mean_error, sum_error};
+use crate::ops::case::{Case, GATED_MAPS, one_way, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, map_dims};
+use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
@@ -36,6 +36,8 @@ pub static ENTRY: Entry = Entry {
 
 /// Pixels that one workgroup computes.
 const PIXELS: usize = 32;
+/// Invocations that share a pixel's channels.
+const SLICES: usize = 8;
 
 /// Maximum and mean over the channels of the gated map: what CBAM's spatial gate looks at.
 ///
@@ -45,8 +47,12 @@ const PIXELS: usize = 32;
 pub struct SpatialPool;
 
 impl Op for SpatialPool {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        Settings::new()
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -57,8 +63,7 @@ impl Op for SpatialPool {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let [channels, height, width] = map_dims(self.name(), "input", &inputs[0])?;
         expect(self.name(), "channel_gate", &TensorSpec::f32([channels]), &inputs[1])?;
         Ok(vec![TensorSpec::f32([2, height, width])])
@@ -84,14 +89,14 @@ impl Op for SpatialPool {
     }
 
     /// A maximum is one product, so one rounding (and the reference's own) of the largest of all;
-    /// the mean is a sum of C products and a division of 2.5 ULP.
+    /// the mean is one of C products, dealt out to `SLICES` invocations.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
         let (input, gate) = (magnitude(inputs[0])?, magnitude(inputs[1])?);
         let sizes = cpu::spatial_pool(&input, &gate);
         let (largest, means) = sizes.data().split_at(sizes.data().len() / 2);
         let maxima = largest.iter().map(|m| sum_error(2, f64::from(*m)));
-        let channels = gate.data().len();
-        let means = means.iter().map(|m| sum_error(channels + 6, f64::from(*m)));
+        let order = SumOrder::dealt(gate.data().len(), SLICES);
+        let means = means.iter().map(|m| mean_error(order, f64::from(*m)));
         Ok(vec![Tolerance::Each(maxima.chain(means).collect())])
     }
 }
@@ -136,5 +141,14 @@ fn cases() -> Vec<Case> {
     offset.data_mut().iter_mut().for_each(|x| *x += 1e4);
     let inputs = vec![offset.into(), random(99, [31]).into()];
     cases.push(Case::new("an offset of 1e4", SpatialPool, inputs));
+    for (seed, (channels, edge)) in GATED_MAPS.into_iter().enumerate() {
+        let seed = 1000 + seed as u64 * 10;
+        let inputs = vec![
+            one_way(seed, [channels, edge, edge]).into(),
+            one_way(seed + 1, [channels]).into(),
+        ];
+        let name = format!("{channels} channels of {edge} × {edge}");
+        cases.push(Case::new(name, SpatialPool, inputs).in_network());
+    }
     cases
 }

@@ -3,10 +3,10 @@
 use crate::cpu;
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
-use crate::ops::case::{Case, integers, random, random_integers, values};
+use crate::ops::case::{Case, integers, one_way, random, random_integers, values};
 use crate::ops::count::{count_tensor, expect_count, live};
-use crate::ops::op::{Entry, Op, Tolerance, expect_inputs};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::op::{Entry, Op, Tolerance};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -27,7 +27,7 @@ pub static ENTRY: Entry = Entry {
     name: "top_k",
     takes: "scores [N] or [C, H, W]; optional: count u32 [1]",
     gives: "values [K], indices u32 [K], count u32 [1]",
-    params: &[Param::required("k", "1000")],
+    params: &[Param::required("k", "1000", Range::Whole(1, u32::MAX as u64))],
     shader: &SHADER,
     build,
     cases,
@@ -63,8 +63,12 @@ fn layout(dims: &[usize]) -> Option<(usize, usize)> {
 }
 
 impl Op for TopK {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![("k", self.k.into())]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -77,11 +81,7 @@ impl Op for TopK {
         vec!["values", "indices", "count"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
-        if self.k == 0 {
-            return Err(Error::param(self.name(), "k", "at least 1", self.k));
-        }
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let scores = &inputs[0];
         let fits = layout(&scores.shape.0).filter(|_| scores.dtype == DType::F32);
         let Some((channels, area)) = fits else {
@@ -255,5 +255,18 @@ fn cases() -> Vec<Case> {
     // Ever lower: the radix select goes through all bytes of the key.
     let close = Tensor::from_fn([3001], |i| f32::from_bits(0x3f80_0000 + (i as u32 * 7) % 3001));
     cases.push(Case::new("neighbouring values", all(700), vec![close.into()]));
+    // The ten highest come last, and the ties' cut is between two indices that differ in their last
+    // byte alone: more of them than room would displace the highest.
+    let last = Tensor::from_fn([5003], |i| if i < 4993 { 0.0 } else { 1.0 });
+    cases.push(Case::new("ties to the last byte by hand", all(1024), vec![last.into()]).by_hand(
+        vec![
+            Tensor::from_fn([1024], |i| if i < 10 { 1.0 } else { 0.0 }).into(),
+            Tensor::from_fn([1024], |i| if i < 10 { 4993 + i as u32 } else { i as u32 - 10 })
+                .into(),
+            integers([1], &[1024]),
+        ],
+    ));
+    let scores = one_way(1000, [12, 40, 40]).into();
+    cases.push(Case::new("the anchors", all(1000), vec![scores]).in_network());
     cases
 }

@@ -4,9 +4,9 @@ use crate::cpu;
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{magnitude, sum_error};
-use crate::ops::case::{Case, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect_inputs, map_dims};
-use crate::ops::params::{Param, Params as Named};
+use crate::ops::case::{Case, one_way, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, map_dims};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
@@ -31,7 +31,10 @@ pub static ENTRY: Entry = Entry {
     name: "upsample_bilinear",
     takes: "input [C, H, W]",
     gives: "output [C, out_height, out_width]",
-    params: &[Param::required("out_height", "40"), Param::required("out_width", "40")],
+    params: &[
+        Param::required("out_height", "40", Range::Whole(1, MAX_EDGE as u64)),
+        Param::required("out_width", "40", Range::Whole(1, MAX_EDGE as u64)),
+    ],
     shader: &SHADER,
     build,
     cases,
@@ -53,8 +56,12 @@ pub struct UpsampleBilinear {
 }
 
 impl Op for UpsampleBilinear {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![("out_height", self.out_height.into()), ("out_width", self.out_width.into())]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -65,14 +72,8 @@ impl Op for UpsampleBilinear {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
-        for (param, value) in [("out_height", self.out_height), ("out_width", self.out_width)] {
-            if !(1..=MAX_EDGE).contains(&value) {
-                return Err(Error::param(name, param, format!("1 to {MAX_EDGE}"), value));
-            }
-        }
         let [channels, height, width] = map_dims(name, "input", &inputs[0])?;
         if height.max(width) > MAX_EDGE {
             let expected = format!("edges of at most {MAX_EDGE}");
@@ -185,5 +186,9 @@ fn cases() -> Vec<Case> {
     }
     cases.push(Case::new("1e30", to(9, 11), vec![random_scaled(90, [3, 5, 7], 1e30)]));
     cases.push(Case::new("1e-30", to(9, 11), vec![random_scaled(91, [3, 5, 7], 1e-30)]));
+    for (seed, edge) in [(1000, 20), (1001, 10)] {
+        let input = one_way(seed, [256, edge, edge]).into();
+        cases.push(Case::new(format!("{edge} to 40"), to(40, 40), vec![input]).in_network());
+    }
     cases
 }

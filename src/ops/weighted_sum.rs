@@ -1,12 +1,12 @@
 //! Weighted sum of maps.
 
 use crate::cpu;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
-use crate::ops::bounds::{magnitude, sum_error};
-use crate::ops::case::{Case, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, expect_inputs, map_dims};
-use crate::ops::params::Params as Named;
+use crate::ops::bounds::{SumOrder, magnitude};
+use crate::ops::case::{Case, one_way, random, random_scaled, values};
+use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, map_dims};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
@@ -28,7 +28,7 @@ pub static ENTRY: Entry = Entry {
     name: "weighted_sum",
     takes: "weights [K], map0 [C, H, W]; optional: map1 to map4",
     gives: "output [C, H, W]",
-    params: &[],
+    params: &[Param::by_tensors("maps", Range::Whole(1, MAPS.len() as u64))],
     shader: &SHADER,
     build,
     cases,
@@ -48,19 +48,13 @@ pub struct WeightedSum {
     pub maps: usize,
 }
 
-impl WeightedSum {
-    fn check_maps(&self) -> Result<()> {
-        if !(1..=MAPS.len()).contains(&self.maps) {
-            let expected = format!("1 to {}", MAPS.len());
-            return Err(Error::param(ENTRY.name, "maps", expected, self.maps));
-        }
-        Ok(())
-    }
-}
-
 impl Op for WeightedSum {
-    fn name(&self) -> &'static str {
-        ENTRY.name
+    fn entry(&self) -> &'static Entry {
+        &ENTRY
+    }
+
+    fn settings(&self) -> Settings {
+        vec![("maps", self.maps.into())]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -71,9 +65,7 @@ impl Op for WeightedSum {
         vec!["output"]
     }
 
-    fn infer(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        self.check_maps()?;
-        expect_inputs(self, inputs.len())?;
+    fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
         expect(name, "weights", &TensorSpec::f32([self.maps]), &inputs[0])?;
         map_dims(name, "map0", &inputs[1])?;
@@ -108,20 +100,19 @@ impl Op for WeightedSum {
         Ok(vec![cpu::weighted_sum(inputs[0].f32()?, &maps).into()])
     }
 
-    /// A sum of K products, and the reference's own rounding.
+    /// A sum of K products.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
         let sizes = inputs.iter().map(|v| magnitude(v)).collect::<Result<Vec<_>>>()?;
         let sums = cpu::weighted_sum(&sizes[0], &sizes[1..].iter().collect::<Vec<_>>());
-        let each = sums.data().iter().map(|s| sum_error(self.maps + 1, f64::from(*s)));
+        let order = SumOrder::serial(self.maps);
+        let each = sums.data().iter().map(|s| order.error(f64::from(*s)));
         Ok(vec![Tolerance::Each(each.collect())])
     }
 }
 
 fn build(_params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {
     let maps = MAPS.iter().filter(|name| present.contains(name)).count();
-    let op = WeightedSum { maps };
-    op.check_maps()?;
-    Ok(Box::new(op))
+    Ok(Box::new(WeightedSum { maps }))
 }
 
 fn cases() -> Vec<Case> {
@@ -168,5 +159,8 @@ fn cases() -> Vec<Case> {
         inputs.extend((0..maps).map(|k| random_scaled(seed + 1 + k as u64, dims, scale)));
         cases.push(Case::new(name, WeightedSum { maps }, inputs));
     }
+    let mut inputs: Vec<Value> = vec![one_way(1000, [3]).into()];
+    inputs.extend((1001..1004).map(|seed| Value::from(one_way(seed, [256, 40, 40]))));
+    cases.push(Case::new("the three scales", WeightedSum { maps: 3 }, inputs).in_network());
     cases
 }

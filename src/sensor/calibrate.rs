@@ -12,10 +12,10 @@ use super::Error;
 use super::contact::{NO_BODY, Stop, solve};
 use super::gel::{Elasticity, Grid, Layer};
 use super::optics::{
-    Channel, Fit, MeasuredSensor, NORMAL_TERMS, POSITION_TERMS, Shading, normal_terms,
+    Channel, Fit, MeasuredSensor, NORMAL_TERMS, POSITION_TERMS, Shading, TERMS, normal_terms,
     position_terms,
 };
-use super::render::Surface;
+use super::surface::Surface;
 
 /// Radius of the ball in millimetres.
 const BALL_MM: f64 = 2.0;
@@ -31,6 +31,7 @@ const STOP: Stop = Stop { tolerance_mm: 1e-5, max_iterations: 400 };
 
 /// A press of the ball into a real gel.
 struct Press {
+    file: PathBuf,
     picture: RgbImage,
     center_px: [f64; 2],
     contact_radius_px: u32,
@@ -52,6 +53,8 @@ pub struct Distance {
 pub struct Report {
     /// Number of presses.
     pub presses: usize,
+    /// The files that it was found from.
+    pub files: Vec<PathBuf>,
     /// The untouched gel's picture against each press.
     pub background: Distance,
     /// Simulated presses against real ones that their fit has not seen.
@@ -64,11 +67,18 @@ pub struct Report {
 
 impl Report {
     /// The fit on all presses as a sensor of three lights.
-    pub fn sensor(&self) -> MeasuredSensor {
-        MeasuredSensor {
-            name: "gelsight_ball_presses".to_owned(),
-            lights: self.shading.channels.to_vec(),
+    ///
+    /// # Errors
+    /// [`Error::PoorFit`] if the simulated presses are no nearer to the real ones than the untouched
+    /// background is.
+    pub fn sensor(&self) -> Result<MeasuredSensor, Error> {
+        let (background, held_out) = (self.background.l1, self.held_out.l1);
+        // Not `held_out >= background`: a NaN must fail.
+        if held_out < background {
+            let name = "gelsight_ball_presses".to_owned();
+            return Ok(MeasuredSensor { name, lights: self.shading.channels.to_vec() });
         }
+        Err(Error::PoorFit { background, held_out })
     }
 }
 
@@ -80,26 +90,37 @@ pub const DIFFERENCE_GAIN: i32 = 4;
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Image`] or [`Error::Content`] for a file that is missing or not as
-/// expected.
+/// expected; [`Error::Undetermined`] if the presses show too little of the gel for a fit.
 pub fn calibrate(folder: &Path) -> Result<Report, Error> {
-    let background = open(&folder.join("background.png"))?;
-    let presses = read_presses(folder, &background)?;
+    let (background_file, table) = (folder.join("background.png"), folder.join("presses.csv"));
+    let background = open(&background_file)?;
+    let presses = read_presses(folder, &table, &background)?;
+    let files = presses.iter().map(|p| p.file.clone()).chain([background_file, table]).collect();
     let surfaces = ball_surfaces(presses.iter().map(|p| p.contact_radius_px));
     let surface = |press: &Press| &surfaces[&press.contact_radius_px];
 
     // Observations of each press by itself: a fold's fit is a sum over the other folds.
     let observed: Vec<[Fit; 3]> =
         presses.par_iter().map(|press| observe(press, surface(press), &background)).collect();
-    let fit = |keep: &dyn Fn(usize) -> bool| {
+    let sum = |keep: &dyn Fn(usize) -> bool| {
         let mut sum = [Fit::new(), Fit::new(), Fit::new()];
         for (_, fits) in observed.iter().enumerate().filter(|(i, _)| keep(*i)) {
             for (sum, fit) in sum.iter_mut().zip(fits) {
                 sum.merge(fit);
             }
         }
-        Shading { channels: sum.map(|fit| fit.solve()) }
+        sum
     };
-    let folds: Vec<Shading> = (0..FOLDS).map(|fold| fit(&|i| i % FOLDS != fold)).collect();
+    let fits: Vec<[Fit; 3]> = (0..FOLDS).map(|fold| sum(&|i| i % FOLDS != fold)).collect();
+    // A fit on all presses determines no less than one that leaves some out.
+    let rank = fits.iter().flatten().map(Fit::rank).min().unwrap_or(0);
+    if rank < TERMS {
+        let pixels = presses.iter().map(|p| crop_pixels(p, &background)).sum();
+        let path = folder.to_owned();
+        return Err(Error::Undetermined { path, expected: TERMS, found: rank, pixels });
+    }
+    let solve = |fits: &[Fit; 3]| Shading { channels: fits.each_ref().map(Fit::solve) };
+    let folds: Vec<Shading> = fits.iter().map(solve).collect();
 
     let simulated: Vec<RgbImage> = presses
         .par_iter()
@@ -129,9 +150,10 @@ pub fn calibrate(folder: &Path) -> Result<Report, Error> {
     );
     Ok(Report {
         presses: presses.len(),
+        files,
         background: mean(0),
         held_out: mean(1),
-        shading: fit(&|_| true),
+        shading: solve(&sum(&|_| true)),
         comparison,
     })
 }
@@ -140,11 +162,10 @@ fn open(path: &Path) -> Result<RgbImage, Error> {
     Ok(image::open(path).map_err(Error::image(path))?.into_rgb8())
 }
 
-fn read_presses(folder: &Path, background: &RgbImage) -> Result<Vec<Press>, Error> {
-    let path = folder.join("presses.csv");
-    let text = std::fs::read_to_string(&path).map_err(Error::io(&path))?;
-    let bad = |path: &PathBuf, expected: &str, found: &str| Error::Content {
-        path: path.clone(),
+fn read_presses(folder: &Path, path: &Path, background: &RgbImage) -> Result<Vec<Press>, Error> {
+    let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+    let bad = |path: &Path, expected: &str, found: &str| Error::Content {
+        path: path.to_owned(),
         expected: expected.to_owned(),
         found: found.to_owned(),
     };
@@ -153,17 +174,17 @@ fn read_presses(folder: &Path, background: &RgbImage) -> Result<Vec<Press>, Erro
         let wanted = "file,center_x_px,center_y_px,contact_radius_px";
         let fields: Vec<&str> = line.split(',').collect();
         let [file, x, y, radius] = fields[..] else {
-            return Err(bad(&path, wanted, line));
+            return Err(bad(path, wanted, line));
         };
         let (Ok(x), Ok(y), Ok(radius)) = (x.parse(), y.parse(), radius.parse::<u32>()) else {
-            return Err(bad(&path, wanted, line));
+            return Err(bad(path, wanted, line));
         };
         let inside = |at: f64, side: u32| (0.0..f64::from(side)).contains(&at);
         if !inside(x, background.width()) || !inside(y, background.height()) {
-            return Err(bad(&path, "a centre inside the picture", line));
+            return Err(bad(path, "a centre inside the picture", line));
         }
         if !(1..=67).contains(&radius) {
-            return Err(bad(&path, "a contact radius of 1 to 67 pixels (the ball's own)", line));
+            return Err(bad(path, "a contact radius of 1 to 67 pixels (the ball's own)", line));
         }
         let file = folder.join(file);
         let picture = open(&file)?;
@@ -171,11 +192,11 @@ fn read_presses(folder: &Path, background: &RgbImage) -> Result<Vec<Press>, Erro
             let size = |p: &RgbImage| format!("{} × {} pixels", p.width(), p.height());
             return Err(bad(&file, &size(background), &size(&picture)));
         }
-        presses.push(Press { picture, center_px: [x, y], contact_radius_px: radius });
+        presses.push(Press { file, picture, center_px: [x, y], contact_radius_px: radius });
     }
     if presses.len() < FOLDS {
         let found = format!("{} presses", presses.len());
-        return Err(bad(&path, &format!("{FOLDS} presses or more"), &found));
+        return Err(bad(path, &format!("{FOLDS} presses or more"), &found));
     }
     Ok(presses)
 }
@@ -231,6 +252,10 @@ fn crop_range(press: &Press, picture: &RgbImage) -> [std::ops::Range<u32>; 2] {
         low..high
     };
     [range(press.center_px[0], picture.width()), range(press.center_px[1], picture.height())]
+}
+
+fn crop_pixels(press: &Press, picture: &RgbImage) -> usize {
+    crop_range(press, picture).iter().map(ExactSizeIterator::len).product()
 }
 
 fn crop(picture: &RgbImage, press: &Press) -> RgbImage {
@@ -368,16 +393,11 @@ fn side_by_side(real: &RgbImage, simulated: &RgbImage) -> RgbImage {
     picture
 }
 
-/// Reads the shading models of GelSight sensors from a folder of their calibration files
-/// (`*.yaml`), sorted by name.
-///
-/// A model there is `nᵀA n + b·n + c` for each light, with coefficients quadratic in position
-/// (rows x², xy, y², x, y, 1; for each light A's upper triangle, b, c). It is brought into this
-/// crate's terms to second order in the slope and divided by the flat gel's brightness.
+/// GelSight's calibration files (`*.yaml`) in a folder, sorted by name.
 ///
 /// # Errors
-/// [`Error::Io`] or [`Error::Content`] for a file that is missing or not as expected.
-pub fn read_sensors(folder: &Path) -> Result<Vec<MeasuredSensor>, Error> {
+/// [`Error::Io`] for the folder, [`Error::Content`] if there is none.
+pub fn sensor_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
         .map_err(Error::io(folder))?
         .map(|entry| entry.map(|entry| entry.path()).map_err(Error::io(folder)))
@@ -391,19 +411,18 @@ pub fn read_sensors(folder: &Path) -> Result<Vec<MeasuredSensor>, Error> {
         });
     }
     files.sort();
-    files.iter().map(|file| read_sensor(file)).collect()
+    Ok(files)
 }
 
-/// Writes sensors as the file that [`measured_sensors`](super::optics::measured_sensors) holds.
+/// Reads a sensor's shading model from GelSight's calibration file.
+///
+/// A model there is `nᵀA n + b·n + c` for each light, with coefficients quadratic in position
+/// (rows x², xy, y², x, y, 1; for each light A's upper triangle, b, c). It is brought into this
+/// crate's terms to second order in the slope and divided by the flat gel's brightness.
 ///
 /// # Errors
-/// [`Error::Io`] if the file cannot be written.
-pub fn write_sensors(path: &Path, sensors: &[MeasuredSensor]) -> Result<(), Error> {
-    let text = serde_json::to_string(sensors).map_err(|e| Error::io(path)(e.into()))?;
-    std::fs::write(path, text).map_err(Error::io(path))
-}
-
-fn read_sensor(path: &Path) -> Result<MeasuredSensor, Error> {
+/// [`Error::Io`] or [`Error::Content`] for a file that is missing or not as expected.
+pub fn read_sensor(path: &Path) -> Result<MeasuredSensor, Error> {
     const QUADRATIC: usize = 10;
     let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
     let bad = |found: String| Error::Content {

@@ -1,15 +1,20 @@
-//! The camera: a pinhole above the gel's centre, defocus, noise, 8 bits.
+//! The camera: a pinhole above the gel's centre, its lens' distortion, defocus, noise, 8 bits.
 
 use rand::Rng;
 use rand_pcg::Pcg64;
 
-use super::{MM_PER_PX, PICTURE_PX};
+use super::frame::Frame;
 
 /// A pinhole camera that looks at the gel through the acrylic.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
+    /// What its picture measures.
+    pub frame: Frame,
     /// Distance from the pinhole to the undeformed surface, in millimetres.
     pub distance_mm: f64,
+    /// Radial distortion κ: a place at the distance r from the picture's middle, in half diagonals,
+    /// shows what a pinhole would show at r (1 + κ r²).
+    pub distortion: f64,
     /// Standard deviation of the blur, in pixels.
     pub blur_px: f64,
     /// Signal over noise at saturation, in decibels.
@@ -20,7 +25,14 @@ pub struct Camera {
 
 impl Default for Camera {
     fn default() -> Self {
-        Self { distance_mm: 125.0, blur_px: 1.0, snr_db: 45.0, read_noise: 0.5 }
+        Self {
+            frame: Frame::PAPER,
+            distance_mm: 125.0,
+            distortion: 0.0,
+            blur_px: 1.0,
+            snr_db: 45.0,
+            read_noise: 0.5,
+        }
     }
 }
 
@@ -29,9 +41,37 @@ impl Camera {
     /// centre and its depth: a dent comes nearer to the camera and moves outwards by
     /// `distance / (distance − depth)`.
     pub fn project(&self, x_mm: f64, y_mm: f64, depth_mm: f64) -> [f64; 2] {
-        let scale = self.distance_mm / (self.distance_mm - depth_mm) / MM_PER_PX;
-        let middle = PICTURE_PX as f64 / 2.0;
-        [x_mm * scale + middle, y_mm * scale + middle]
+        let scale = self.distance_mm / (self.distance_mm - depth_mm) / self.frame.mm_per_pixel;
+        let [width, height] = self.frame.size_px();
+        let (dx, dy) = (x_mm * scale, y_mm * scale);
+        // r = r' / (1 + κ r²), by iteration: each step shrinks the error to 2 κ r² of it.
+        let mut shrink = 1.0;
+        if self.distortion != 0.0 {
+            let r2 = (dx * dx + dy * dy) * self.per_half_diagonal();
+            for _ in 0..16 {
+                shrink = 1.0 / (1.0 + self.distortion * r2 * shrink * shrink);
+            }
+        }
+        [dx * shrink + width / 2.0, dy * shrink + height / 2.0]
+    }
+
+    /// Place on a flat gel, in millimetres from its middle, that is seen at this place of the
+    /// picture.
+    pub fn flat_place(&self, x_px: f64, y_px: f64) -> [f64; 2] {
+        let [x, y] = self.frame.to_mm([x_px, y_px]);
+        if self.distortion == 0.0 {
+            return [x, y];
+        }
+        let mm = self.frame.mm_per_pixel;
+        let r2 = (x * x + y * y) / (mm * mm) * self.per_half_diagonal();
+        let stretch = 1.0 + self.distortion * r2;
+        [x * stretch, y * stretch]
+    }
+
+    /// One over the squared half diagonal, in pixels.
+    fn per_half_diagonal(&self) -> f64 {
+        let [width, height] = self.frame.size_px();
+        4.0 / (width * width + height * height)
     }
 
     /// Standard deviation of the noise in 8-bit levels at this level: shot noise, whose variance
@@ -42,9 +82,9 @@ impl Camera {
         (read + (saturated * saturated - read).max(0.0) * level.max(0.0) / 255.0).sqrt()
     }
 
-    /// Blurs a plane of the picture, `[PICTURE_PX][PICTURE_PX]`, in place; edges are repeated.
+    /// Blurs a plane of the picture, `[height][width]`, in place; edges are repeated.
     pub fn blur(&self, plane: &mut [f32], scratch: &mut Vec<f32>) {
-        let n = PICTURE_PX;
+        let (n, height) = (self.frame.width, self.frame.height);
         let sigma = self.blur_px;
         let radius = (2.5 * sigma).ceil() as usize;
         let mut taps: Vec<f32> =
@@ -52,7 +92,7 @@ impl Camera {
         let sum = taps[0] + 2.0 * taps[1..].iter().sum::<f32>();
         taps.iter_mut().for_each(|t| *t /= sum);
 
-        scratch.resize(n * n, 0.0);
+        scratch.resize(n * height, 0.0);
         let mut padded = vec![0.0f32; n + 2 * radius];
         for (row, out) in plane.chunks_exact(n).zip(scratch.chunks_exact_mut(n)) {
             padded[..radius].fill(row[0]);
@@ -69,14 +109,14 @@ impl Camera {
                 }
             }
         }
-        for y in 0..n {
+        for y in 0..height {
             let out = &mut plane[y * n..(y + 1) * n];
             for (o, &v) in out.iter_mut().zip(&scratch[y * n..]) {
                 *o = taps[0] * v;
             }
             for (i, &tap) in taps.iter().enumerate().skip(1) {
                 let above = &scratch[y.saturating_sub(i) * n..];
-                let below = &scratch[(y + i).min(n - 1) * n..];
+                let below = &scratch[(y + i).min(height - 1) * n..];
                 for ((o, &a), &b) in out.iter_mut().zip(above).zip(below) {
                     *o += tap * (a + b);
                 }

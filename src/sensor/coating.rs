@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::camera::NormalTable;
-use super::{GEL_MM, PICTURE_PX};
+use super::frame::Frame;
 
 /// A soft round spot, in millimetres from the centre.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,24 +19,27 @@ struct Spot {
 
 impl Spot {
     /// Calls `f` with index, value, and offsets in millimetres for the pixels within three radii.
-    fn each(&self, mut f: impl FnMut(usize, f64, [f64; 2])) {
-        let n = PICTURE_PX as f64;
+    fn each(&self, frame: &Frame, mut f: impl FnMut(usize, f64, [f64; 2])) {
+        let (size_px, size_mm) = (frame.size_px(), frame.size_mm());
         let reach = 3.0 * self.radius_mm[0].max(self.radius_mm[1]);
-        let range = |center: f64| {
-            let low = ((center - reach) / GEL_MM + 0.5) * n;
-            let high = ((center + reach) / GEL_MM + 0.5) * n;
+        let range = |axis: usize| {
+            let (center, n, mm) = (self.center_mm[axis], size_px[axis], size_mm[axis]);
+            let low = ((center - reach) / mm + 0.5) * n;
+            let high = ((center + reach) / mm + 0.5) * n;
             (low.clamp(0.0, n) as usize)..(high.clamp(0.0, n).ceil() as usize)
         };
+        let offset = |axis: usize, index: usize| {
+            ((index as f64 + 0.5) / size_px[axis] - 0.5) * size_mm[axis] - self.center_mm[axis]
+        };
         let (sin, cos) = self.yaw.sin_cos();
-        for y in range(self.center_mm[1]) {
-            for x in range(self.center_mm[0]) {
-                let dx = ((x as f64 + 0.5) / n - 0.5) * GEL_MM - self.center_mm[0];
-                let dy = ((y as f64 + 0.5) / n - 0.5) * GEL_MM - self.center_mm[1];
+        for y in range(1) {
+            for x in range(0) {
+                let (dx, dy) = (offset(0, x), offset(1, y));
                 let u = (cos * dx + sin * dy) / self.radius_mm[0];
                 let v = (-sin * dx + cos * dy) / self.radius_mm[1];
                 let r2 = u * u + v * v;
                 if r2 < 9.0 {
-                    f(y * PICTURE_PX + x, (-0.5 * r2).exp(), [u, v]);
+                    f(y * frame.width + x, (-0.5 * r2).exp(), [u, v]);
                 }
             }
         }
@@ -54,6 +57,7 @@ struct Scratch {
 /// The coating of one sensor at one age.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Coating {
+    frame: Frame,
     /// Level of the flat gel at its centre, for each channel.
     levels: [f64; 3],
     /// For each channel the lights' bright sides: where, how wide (of half the picture), how much.
@@ -70,8 +74,10 @@ pub struct Coating {
 }
 
 impl Coating {
-    /// Draws a coating.
-    pub fn sample(rng: &mut Pcg64) -> Self {
+    /// Draws a coating that fills this frame.
+    pub fn sample(rng: &mut Pcg64, frame: &Frame) -> Self {
+        let half = frame.size_mm().map(|side| side / 2.0);
+        let place = |rng: &mut Pcg64| half.map(|half| rng.random_range(-half..half));
         let grey = rng.random_range(75.0..185.0);
         let tint = if rng.random_bool(0.5) { 0.05 } else { 0.25 };
         let levels = [(); 3].map(|()| grey * (1.0 + tint * rng.random_range(-1.0..1.0)));
@@ -92,7 +98,7 @@ impl Coating {
         });
         let aged = rng.random_bool(0.5);
         let spot = |rng: &mut Pcg64, low: f64, high: f64, strength: f64| Spot {
-            center_mm: [rng.random_range(-20.0..20.0), rng.random_range(-20.0..20.0)],
+            center_mm: place(rng),
             radius_mm: [rng.random_range(low..high), rng.random_range(low..high)],
             yaw: rng.random_range(0.0..std::f64::consts::PI),
             strength: strength * rng.random_range(-1.0..1.0),
@@ -116,7 +122,7 @@ impl Coating {
             .collect();
         let scratches = (0..count(rng, if aged { 5 } else { 2 }))
             .map(|_| {
-                let mut at = [rng.random_range(-20.0..20.0), rng.random_range(-20.0..20.0)];
+                let mut at = place(rng);
                 let mut heading: f64 = rng.random_range(0.0..std::f64::consts::TAU);
                 let bend = rng.random_range(-0.04..0.04);
                 let points = (0..rng.random_range(8..60))
@@ -134,6 +140,7 @@ impl Coating {
             })
             .collect();
         Self {
+            frame: *frame,
             levels,
             glows,
             grain: rng.random_range(0.002..0.012),
@@ -146,6 +153,42 @@ impl Coating {
             dents,
             texture_seed: rng.random_range(0..u64::MAX),
         }
+    }
+
+    /// Sets the standard deviation of the clouds.
+    pub fn set_mottle(&mut self, mottle: f64) {
+        self.mottle = mottle;
+    }
+
+    /// Standard deviation of the clouds.
+    pub fn mottle(&self) -> f64 {
+        self.mottle
+    }
+
+    /// Colours the flat gel: 0 or less leaves it grey. Most sensors whose channels have lights of
+    /// their own are built so that flat gel is nearly grey all the same.
+    pub fn set_colour(&mut self, rng: &mut Pcg64, colour: f64) {
+        let grey = self.levels.iter().sum::<f64>() / 3.0;
+        let colour = colour.max(0.0);
+        let tint = match rng.random_range(0..10) {
+            0..5 => 0.15,
+            5..8 => 0.5,
+            _ => 0.95,
+        };
+        self.levels = [(); 3].map(|()| grey * (1.0 + colour * tint * rng.random_range(-1.0..1.0)));
+    }
+
+    /// Lowers the level of the flat gel to at most this, for the brightest channel in the middle.
+    pub fn limit_level(&mut self, most: f64) {
+        let brightest = self.levels.iter().fold(0.0f64, |a, &b| a.max(b));
+        let scale = (most / brightest).min(1.0);
+        self.levels.iter_mut().for_each(|level| *level *= scale);
+    }
+
+    /// Spread of the levels over their mean.
+    pub fn colour(&self) -> f64 {
+        let [r, g, b] = self.levels;
+        (r.max(g).max(b) - r.min(g).min(b)) / (r + g + b) * 1.5
     }
 
     /// Level of the flat gel without its texture; x and y run from −1 to 1 over the picture.
@@ -167,30 +210,30 @@ impl Coating {
         texture: &mut Vec<f32>,
         gradients: &mut [[f32; 2]],
     ) {
-        let n = PICTURE_PX;
+        let frame = &self.frame;
         let mut rng = Pcg64::seed_from_u64(self.texture_seed);
         texture.clear();
-        texture.resize(n * n, 0.0);
+        texture.resize(frame.pixels(), 0.0);
         normal.fill(&mut rng, texture);
         let grain = self.grain as f32;
         texture.iter_mut().for_each(|t| *t *= grain);
         // Clouds of several sizes, smooth between the nodes of coarse grids.
         for (nodes, weight) in [(10usize, 1.0f32), (34, 0.7), (112, 0.5)] {
             let amplitude = weight * self.mottle as f32;
-            add_noise(texture, normal, &mut rng, nodes, nodes, 0.0, amplitude);
+            add_noise(texture, frame, normal, &mut rng, [nodes, nodes], 0.0, amplitude);
         }
         let amplitude = self.streaks as f32;
-        add_noise(texture, normal, &mut rng, 24, 400, self.streak_yaw, amplitude);
+        add_noise(texture, frame, normal, &mut rng, [24, 400], self.streak_yaw, amplitude);
         for spot in self.worn.iter().chain(&self.dust) {
-            spot.each(|i, value, _| texture[i] += (spot.strength * value) as f32);
+            spot.each(frame, |i, value, _| texture[i] += (spot.strength * value) as f32);
         }
         for scratch in &self.scratches {
-            draw_scratch(texture, scratch);
+            draw_scratch(texture, frame, scratch);
         }
         texture.iter_mut().for_each(|t| *t = (1.0 + *t).max(0.05));
         for dent in &self.dents {
             let (sin, cos) = dent.yaw.sin_cos();
-            dent.each(|i, value, [u, v]| {
+            dent.each(frame, |i, value, [u, v]| {
                 let du = -dent.strength * value * u / dent.radius_mm[0];
                 let dv = -dent.strength * value * v / dent.radius_mm[1];
                 gradients[i][0] += (cos * du - sin * dv) as f32;
@@ -203,23 +246,23 @@ impl Coating {
 /// Adds noise from a turned grid of `columns` × `rows` nodes over the picture's diagonal.
 fn add_noise(
     texture: &mut [f32],
+    frame: &Frame,
     normal: &NormalTable,
     rng: &mut Pcg64,
-    columns: usize,
-    rows: usize,
+    [columns, rows]: [usize; 2],
     yaw: f64,
     amplitude: f32,
 ) {
-    let n = PICTURE_PX;
+    let n = frame.longer_px();
     let mut nodes = vec![0.0f32; (columns + 2) * (rows + 2)];
     normal.fill(rng, &mut nodes);
     let (sin, cos) = (yaw.sin() as f32, yaw.cos() as f32);
     // The diagonal fits into the nodes at any angle.
     let scale = 1.0 / (n as f32 * std::f32::consts::SQRT_2);
-    for y in 0..n {
-        let dy = (y as f32 + 0.5) - n as f32 / 2.0;
-        for x in 0..n {
-            let dx = (x as f32 + 0.5) - n as f32 / 2.0;
+    for y in 0..frame.height {
+        let dy = (y as f32 + 0.5) - frame.height as f32 / 2.0;
+        for x in 0..frame.width {
+            let dx = (x as f32 + 0.5) - frame.width as f32 / 2.0;
             let u = ((cos * dx + sin * dy) * scale + 0.5) * columns as f32;
             let v = ((cos * dy - sin * dx) * scale + 0.5) * rows as f32;
             let (column, row) = (u as usize, v as usize);
@@ -229,31 +272,35 @@ fn add_noise(
             let top = nodes[i] + fu * (nodes[i + 1] - nodes[i]);
             let j = i + columns + 2;
             let bottom = nodes[j] + fu * (nodes[j + 1] - nodes[j]);
-            texture[y * n + x] += amplitude * (top + fv * (bottom - top));
+            texture[y * frame.width + x] += amplitude * (top + fv * (bottom - top));
         }
     }
 }
 
-fn draw_scratch(texture: &mut [f32], scratch: &Scratch) {
-    let n = PICTURE_PX as f64;
-    let px = |mm: f64| (mm / GEL_MM + 0.5) * n;
-    let width = scratch.width_mm / GEL_MM * n;
+fn draw_scratch(texture: &mut [f32], frame: &Frame, scratch: &Scratch) {
+    let (size_px, size_mm) = (frame.size_px(), frame.size_mm());
+    let px = |[x, y]: [f64; 2]| {
+        [(x / size_mm[0] + 0.5) * size_px[0], (y / size_mm[1] + 0.5) * size_px[1]]
+    };
+    let width = scratch.width_mm / size_mm[0] * size_px[0];
     let reach = (2.5 * width).ceil();
     for pair in scratch.points.windows(2) {
-        let [a, b] = [pair[0].map(px), pair[1].map(px)];
+        let [a, b] = [px(pair[0]), px(pair[1])];
         let steps = (b[0] - a[0]).hypot(b[1] - a[1]).ceil().max(1.0);
         for step in 0..steps as usize {
             let t = step as f64 / steps;
             let at = [a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])];
-            let range =
-                |c: f64| ((c - reach).clamp(0.0, n) as usize)..((c + reach).clamp(0.0, n) as usize);
-            for y in range(at[1]) {
-                for x in range(at[0]) {
+            let range = |axis: usize| {
+                let (c, n) = (at[axis], size_px[axis]);
+                ((c - reach).clamp(0.0, n) as usize)..((c + reach).clamp(0.0, n) as usize)
+            };
+            for y in range(1) {
+                for x in range(0) {
                     let (dx, dy) = (x as f64 + 0.5 - at[0], y as f64 + 0.5 - at[1]);
                     let value = (-0.5 * (dx * dx + dy * dy) / (width * width)).exp();
                     // Steps of a pixel along the line add up to about 2.5 widths.
                     let value = scratch.strength * value / (2.5 * width);
-                    texture[y * PICTURE_PX + x] += value as f32;
+                    texture[y * frame.width + x] += value as f32;
                 }
             }
         }

@@ -1,30 +1,47 @@
 //! Data sets of simulated pictures with COCO labels.
 //!
-//! A folder holds `images/000000.png` and so on, `labels/000000.json` with what was drawn, and
-//! `annotations.json` once all is there. Each scene's seed is a hash of the data set's seed and
+//! A folder holds `origin.json` with what it was made from, `images/000000.png` and so on,
+//! `labels/000000.json` with what was drawn and how large the picture's file is, and
+//! `annotations.json` once all is there. A label is written after its picture: where both are
+//! there and the size is right, the picture is whole. One run at a time writes to a folder: it
+//! holds a lock on `.simulate.lock`.
+//!
+//! Each scene's seed is a hash of the data set's seed and
 //! the picture's number, so data sets of different seeds share no scene: splits are kept apart by
-//! giving each its own seed. A picture depends on its scene's seed and the kinds asked for alone,
+//! giving each its own seed. A picture depends on its scene's seed and the request alone,
 //! not on threads, order or the number of pictures. Another kind of processor may round a
 //! transform otherwise and change single levels.
 
-use std::fs::{self, File};
-use std::io::{BufWriter, Write};
+use std::collections::HashSet;
+use std::ffi::OsStr;
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use image::ExtendedColorType;
 use image::ImageEncoder;
+use image::RgbImage;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use rayon::prelude::*;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::render::{Label, Rendered, Renderer};
+use super::Error;
+use super::conditions::{Conditions, Distribution, Forced};
+use super::distractors::Part;
+use super::frame::Frame;
+use super::render::{Label, Rendered, Renderer, Request};
 use super::scene::Mix;
 use super::snaps::Kind;
-use super::{Error, PICTURE_PX};
+use crate::files;
 
-/// Pictures that a worker takes at a time, to make its plans and buffers rarely.
+/// Least number of pictures that a worker takes, to make its plans and buffers rarely.
 const CHUNK: usize = 8;
+/// Held by the run that writes to the folder; its process's number stands inside.
+const LOCK: &str = ".simulate.lock";
+const ORIGIN: &str = "origin.json";
+const ANNOTATIONS: &str = "annotations.json";
 
 /// What to simulate.
 #[derive(Debug, Clone, PartialEq)]
@@ -35,8 +52,8 @@ pub struct Settings {
     pub count: usize,
     /// Seed of the data set.
     pub seed: u64,
-    /// Which snaps the pictures show.
-    pub mix: Mix,
+    /// What the pictures show, and under which conditions.
+    pub request: Request,
 }
 
 /// What [`simulate`] did.
@@ -50,21 +67,76 @@ pub struct Summary {
     pub snaps: usize,
 }
 
+/// How far [`simulate`] is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Progress {
+    /// What it does.
+    pub step: Step,
+    /// How many pictures have been through this step.
+    pub done: usize,
+    /// Of how many.
+    pub all: usize,
+}
+
+/// What [`simulate`] does, in this order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Step {
+    /// Looks at pictures of an earlier run.
+    Check,
+    /// Renders those that are missing.
+    Render,
+}
+
 /// What a folder was made with; another call must ask for the same.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Origin {
     seed: u64,
     kind: Mix,
     simulator: u32,
+    #[serde(default)]
+    conditions: Distribution,
+    #[serde(default)]
+    part: Option<Part>,
+    #[serde(default)]
+    forced: Forced,
+}
+
+impl Origin {
+    fn of(settings: &Settings) -> Self {
+        let Request { mix, conditions, part, forced } = &settings.request;
+        Self {
+            seed: settings.seed,
+            kind: *mix,
+            simulator: simulator(*conditions),
+            conditions: *conditions,
+            part: *part,
+            forced: forced.clone(),
+        }
+    }
 }
 
 /// Raised when the same seed would give another picture.
-const SIMULATOR: u32 = 2;
+fn simulator(conditions: Distribution) -> u32 {
+    match conditions {
+        Distribution::Plain => 2,
+        Distribution::Wide => 3,
+    }
+}
 
 #[derive(Serialize, Deserialize)]
 struct Sidecar {
     scene_seed: u64,
+    frame: Frame,
+    conditions: Conditions,
+    /// Size of the picture's file.
+    picture_bytes: u64,
     snaps: Vec<Label>,
+}
+
+/// What labels of every version have.
+#[derive(Deserialize)]
+struct AnyLabel {
+    scene_seed: u64,
 }
 
 /// Seed of the scene with this number in a data set: SplitMix64's finaliser over both.
@@ -80,42 +152,65 @@ pub fn scene_seed(seed: u64, index: u64) -> u64 {
 /// Renders what is missing of a data set, then writes `annotations.json`.
 ///
 /// Pictures are spread over rayon's current pool. `progress` is called from any thread, not
-/// always in order, with the number of pictures done and the number in all. A call with fewer
-/// pictures than are there labels the first ones.
+/// always in order. A call with fewer pictures than are there labels the first ones. Nothing is
+/// written before all that is there has been checked.
 ///
 /// # Errors
-/// [`Error::OtherDataset`] if the folder was made with another seed or kind; [`Error::Io`],
-/// [`Error::Image`] or [`Error::Content`] for files; [`Error::NoScene`] from the renderer.
+/// [`Error::OtherDataset`] if the folder was made with another seed or request, or by something else;
+/// [`Error::Busy`] while another run writes to it; [`Error::Io`], [`Error::Image`],
+/// [`Error::Content`] or [`Error::Write`] for files; [`Error::NoScene`] from the renderer.
 pub fn simulate(
     settings: &Settings,
-    progress: &(dyn Fn(usize, usize) + Sync),
+    progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Summary, Error> {
-    let images = settings.out.join("images");
-    let labels = settings.out.join("labels");
+    // Before the folder is made or locked: what is not ours stays as it is.
+    check_origin(settings)?;
+    fs::create_dir_all(&settings.out).map_err(Error::io(&settings.out))?;
+    let _lock = lock(&settings.out)?;
+    // Another run may have begun it since.
+    let is_begun = check_origin(settings)?;
+    let whole = whole_pictures(settings, progress)?;
+
+    if !is_begun {
+        write_json(&settings.out.join(ORIGIN), &Origin::of(settings))?;
+    }
+    let (images, labels) = (settings.images(), settings.labels());
     for folder in [&images, &labels] {
         fs::create_dir_all(folder).map_err(Error::io(folder))?;
     }
-    check_origin(settings)?;
-
-    let missing: Vec<usize> = (0..settings.count)
-        .filter(|i| !(image_path(&images, *i).exists() && label_path(&labels, *i).exists()))
-        .collect();
-    let kept = settings.count - missing.len();
+    for folder in [&settings.out, &images, &labels] {
+        files::remove_unfinished(folder)?;
+    }
+    let (kept, all) = (whole.len(), settings.count);
     let done = AtomicUsize::new(kept);
-    progress(kept, settings.count);
-    missing.par_chunks(CHUNK).try_for_each_init(Renderer::new, |renderer, chunk| {
-        for &i in chunk {
-            let scene_seed = scene_seed(settings.seed, i as u64);
-            let Rendered { picture, labels: snaps } = renderer.render(scene_seed, settings.mix)?;
-            let sidecar = Sidecar { scene_seed, snaps };
-            write_json(&label_path(&labels, i), &sidecar)?;
-            write_picture(&image_path(&images, i), picture.as_raw())?;
-            progress(1 + done.fetch_add(1, Ordering::Relaxed), settings.count);
-        }
-        Ok(())
+    progress(Progress { step: Step::Render, done: kept, all });
+    let missing = (0..all).into_par_iter().with_min_len(CHUNK).filter(|i| !whole.contains(i));
+    missing.try_for_each_init(Renderer::new, |renderer, i| {
+        let scene_seed = scene_seed(settings.seed, i as u64);
+        let Rendered { picture, frame, conditions, labels: snaps } =
+            renderer.render(scene_seed, &settings.request)?;
+        let image = image_path(&images, i);
+        let png = encode(&image, &picture)?;
+        files::write(&image, &png)?;
+        let picture_bytes = png.len() as u64;
+        let sidecar = Sidecar { scene_seed, frame, conditions, picture_bytes, snaps };
+        write_json(&label_path(&labels, i), &sidecar)?;
+        let done = 1 + done.fetch_add(1, Ordering::Relaxed);
+        progress(Progress { step: Step::Render, done, all });
+        Ok::<(), Error>(())
     })?;
     let snaps = write_annotations(settings, &labels)?;
-    Ok(Summary { rendered: missing.len(), kept, snaps })
+    Ok(Summary { rendered: all - kept, kept, snaps })
+}
+
+impl Settings {
+    fn images(&self) -> PathBuf {
+        self.out.join("images")
+    }
+
+    fn labels(&self) -> PathBuf {
+        self.out.join("labels")
+    }
 }
 
 fn image_path(folder: &Path, index: usize) -> PathBuf {
@@ -123,30 +218,140 @@ fn image_path(folder: &Path, index: usize) -> PathBuf {
 }
 
 fn label_path(folder: &Path, index: usize) -> PathBuf {
-    folder.join(format!("{index:06}.json"))
+    folder.join(label_name(index))
 }
 
-fn check_origin(settings: &Settings) -> Result<(), Error> {
-    let path = settings.out.join("origin.json");
-    let wanted = Origin { seed: settings.seed, kind: settings.mix, simulator: SIMULATOR };
-    let other = |expected: &Origin, found: String| Error::OtherDataset {
+fn label_name(index: usize) -> String {
+    format!("{index:06}.json")
+}
+
+/// The number of the picture whose label has this name.
+fn label_index(name: &OsStr) -> Option<usize> {
+    let index = name.to_str()?.strip_suffix(".json")?.parse().ok()?;
+    (*name == *label_name(index)).then_some(index)
+}
+
+/// Takes the folder for this process, until the file is dropped.
+fn lock(folder: &Path) -> Result<File, Error> {
+    let path = folder.join(LOCK);
+    files::check(&path)?;
+    let io = |e| Error::io(&path)(e);
+    let mut options = OpenOptions::new();
+    options.read(true).write(true).create(true).truncate(false);
+    let mut file = options.open(&path).map_err(io)?;
+    match file.try_lock() {
+        Ok(()) => {}
+        Err(TryLockError::WouldBlock) => {
+            // Windows lets nobody read what another has locked.
+            let mut text = String::new();
+            let read = file.take(16).read_to_string(&mut text);
+            let holder = read.ok().and_then(|_| text.trim().parse().ok());
+            return Err(Error::Busy { path: folder.to_owned(), holder });
+        }
+        Err(TryLockError::Error(e)) => return Err(io(e)),
+    }
+    // In place: a lock is on the file, not on its name.
+    file.set_len(0).and_then(|()| writeln!(file, "{}", std::process::id())).map_err(io)?;
+    Ok(file)
+}
+
+/// Whether the folder holds a data set of these settings; if not, nothing there may have a name
+/// that a data set's files have.
+fn check_origin(settings: &Settings) -> Result<bool, Error> {
+    let path = settings.out.join(ORIGIN);
+    let wanted = Origin::of(settings);
+    let other = |found: String| Error::OtherDataset {
         path: settings.out.clone(),
-        expected: show(expected),
+        expected: show(&wanted),
         found,
     };
-    if !path.exists() {
-        let images = settings.out.join("images");
-        let is_empty = fs::read_dir(&images).is_ok_and(|mut files| files.next().is_none());
-        if settings.out.join("annotations.json").exists() || images.exists() && !is_empty {
-            return Err(other(&wanted, "another program".into()));
+    // Annotations are written at the very end.
+    for file in [&path, &settings.out.join(ANNOTATIONS)] {
+        files::check(file)?;
+    }
+    if is_there(&path)? {
+        let found: Origin = read_json(&path)?;
+        return if found == wanted { Ok(true) } else { Err(other(show(&found))) };
+    }
+    if is_there(&settings.out.join(ANNOTATIONS))? {
+        return Err(other(format!("another program ({ANNOTATIONS})")));
+    }
+    for folder in [settings.images(), settings.labels()] {
+        let is_empty = match fs::read_dir(&folder) {
+            Ok(mut entries) => entries.next().is_none(),
+            Err(e) if e.kind() == ErrorKind::NotFound => !is_there(&folder)?,
+            Err(e) => return Err(Error::io(&folder)(e)),
+        };
+        if !is_empty {
+            let name = folder.file_name().unwrap_or_default().display();
+            return Err(other(format!("another program ({name})")));
         }
-        return write_json(&path, &wanted);
     }
-    let found: Origin = read_json(&path)?;
-    if found == wanted {
-        return Ok(());
+    Ok(false)
+}
+
+/// Whether something has this name, also a link to nothing.
+fn is_there(path: &Path) -> Result<bool, Error> {
+    match fs::symlink_metadata(path) {
+        Ok(_) => Ok(true),
+        Err(e) if e.kind() == ErrorKind::NotFound => Ok(false),
+        Err(e) => Err(Error::io(path)(e)),
     }
-    Err(other(&wanted, show(&found)))
+}
+
+/// Numbers of the pictures asked for that an earlier run finished. Only what is there costs time.
+fn whole_pictures(
+    settings: &Settings,
+    progress: &(dyn Fn(Progress) + Sync),
+) -> Result<HashSet<usize>, Error> {
+    let (images, labels) = (settings.images(), settings.labels());
+    let entries = match fs::read_dir(&labels) {
+        Ok(entries) => entries,
+        Err(e) if e.kind() == ErrorKind::NotFound => return Ok(HashSet::new()),
+        Err(e) => return Err(Error::io(&labels)(e)),
+    };
+    let names: Vec<_> = entries
+        .map(|entry| Ok(entry?.file_name()))
+        .collect::<io::Result<_>>()
+        .map_err(Error::io(&labels))?;
+    let labelled: Vec<usize> =
+        names.iter().filter_map(|n| label_index(n)).filter(|i| *i < settings.count).collect();
+    let done = AtomicUsize::new(0);
+    let is_whole = |&i: &usize| {
+        let whole = is_whole(settings, &image_path(&images, i), &label_path(&labels, i), i);
+        let done = 1 + done.fetch_add(1, Ordering::Relaxed);
+        progress(Progress { step: Step::Check, done, all: labelled.len() });
+        whole.map(|whole| whole.then_some(i)).transpose()
+    };
+    labelled.par_iter().filter_map(is_whole).collect()
+}
+
+/// Whether a picture and its label are as an earlier run wrote them.
+fn is_whole(settings: &Settings, image: &Path, label: &Path, index: usize) -> Result<bool, Error> {
+    // Neither is written over if it is not.
+    files::check(label)?;
+    files::check(image)?;
+    let text = fs::read(label).map_err(Error::io(label))?;
+    // A crash of an early version, which did not sync, may have left it empty.
+    if text.is_empty() {
+        return Ok(false);
+    }
+    let AnyLabel { scene_seed: found } = parse(label, &text)?;
+    let expected = scene_seed(settings.seed, index as u64);
+    if found != expected {
+        return Err(Error::Content {
+            path: label.to_owned(),
+            expected: format!("the scene seed {expected}"),
+            found: found.to_string(),
+        });
+    }
+    // What an early version wrote lacks something, and is made again.
+    let Ok(sidecar) = serde_json::from_slice::<Sidecar>(&text) else { return Ok(false) };
+    match fs::metadata(image) {
+        Ok(found) => Ok(sidecar.picture_bytes == found.len()),
+        Err(e) if e.kind() == ErrorKind::NotFound => Ok(false),
+        Err(e) => Err(Error::io(image)(e)),
+    }
 }
 
 fn show(origin: &Origin) -> String {
@@ -156,43 +361,44 @@ fn show(origin: &Origin) -> String {
         Mix::Mixed => "mixed",
         Mix::None => "none",
     };
-    format!("seed {}, kind {kind}, simulator {}", origin.seed, origin.simulator)
-}
-
-/// Writes under another name, then renames: a file is whole or not there.
-fn write_whole(
-    path: &Path,
-    write: impl FnOnce(&mut BufWriter<File>) -> Result<(), Error>,
-) -> Result<(), Error> {
-    let unfinished = path.with_extension("unfinished");
-    let mut file = BufWriter::new(File::create(&unfinished).map_err(Error::io(&unfinished))?);
-    write(&mut file)?;
-    file.flush().map_err(Error::io(&unfinished))?;
-    drop(file);
-    fs::rename(&unfinished, path).map_err(Error::io(path))
+    let mut text = format!("seed {}, kind {kind}, simulator {}", origin.seed, origin.simulator);
+    if origin.conditions == Distribution::Wide {
+        text += ", wide conditions";
+    }
+    if let Some(part) = origin.part {
+        text += &format!(", part {part:?}").to_lowercase();
+    }
+    if origin.forced != Forced::default() {
+        text += &format!(", forced {}", origin.forced);
+    }
+    text
 }
 
 fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
-    write_whole(path, |file| {
-        serde_json::to_writer(file, value).map_err(|e| Error::io(path)(e.into()))
-    })
+    let text = serde_json::to_vec(value).map_err(|e| Error::io(path)(e.into()))?;
+    Ok(files::write(path, &text)?)
 }
 
-fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Error> {
-    let text = fs::read(path).map_err(Error::io(path))?;
-    serde_json::from_slice(&text).map_err(|e| Error::Content {
+fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, Error> {
+    parse(path, &fs::read(path).map_err(Error::io(path))?)
+}
+
+fn parse<T: DeserializeOwned>(path: &Path, text: &[u8]) -> Result<T, Error> {
+    serde_json::from_slice(text).map_err(|e| Error::Content {
         path: path.to_owned(),
         expected: "what an earlier run wrote".to_owned(),
         found: e.to_string(),
     })
 }
 
-fn write_picture(path: &Path, bytes: &[u8]) -> Result<(), Error> {
-    write_whole(path, |file| {
-        PngEncoder::new_with_quality(file, CompressionType::Fast, FilterType::Sub)
-            .write_image(bytes, PICTURE_PX as u32, PICTURE_PX as u32, ExtendedColorType::Rgb8)
-            .map_err(Error::image(path))
-    })
+/// The picture as PNG; `path` is for messages.
+fn encode(path: &Path, picture: &RgbImage) -> Result<Vec<u8>, Error> {
+    let (width, height) = picture.dimensions();
+    let mut png = Vec::new();
+    PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Sub)
+        .write_image(picture.as_raw(), width, height, ExtendedColorType::Rgb8)
+        .map_err(Error::image(path))?;
+    Ok(png)
 }
 
 #[derive(Serialize)]
@@ -206,9 +412,8 @@ struct Coco {
 #[derive(Serialize)]
 struct CocoInfo {
     description: &'static str,
-    seed: u64,
-    kind: Mix,
-    simulator: u32,
+    #[serde(flatten)]
+    origin: Origin,
 }
 
 #[derive(Serialize)]
@@ -226,6 +431,8 @@ struct CocoImage {
     height: usize,
     /// As text: 64 bits do not fit a JSON number everywhere.
     scene_seed: String,
+    mm_per_pixel: f64,
+    conditions: Conditions,
 }
 
 #[derive(Serialize)]
@@ -239,10 +446,17 @@ struct CocoAnnotation {
     area: f64,
     iscrowd: u32,
     kind: &'static str,
-    yaw_deg: f64,
+    /// Direction in which A's barbed tip points; none for B.
+    yaw_deg: Option<f64>,
     depth_mm: f64,
     center_mm: [f64; 2],
     contact_area_px: f64,
+    whole: bool,
+    visible: f64,
+    slots: Option<u32>,
+    hole_mm: Option<f64>,
+    wall: bool,
+    on_side: bool,
 }
 
 /// Rounds to a thousandth, which is less than the labels' error.
@@ -254,9 +468,7 @@ fn write_annotations(settings: &Settings, labels: &Path) -> Result<usize, Error>
     let mut coco = Coco {
         info: CocoInfo {
             description: "simulated tactile pictures of snap joints",
-            seed: settings.seed,
-            kind: settings.mix,
-            simulator: SIMULATOR,
+            origin: Origin::of(settings),
         },
         categories: [Kind::A, Kind::B].map(|kind| CocoCategory {
             id: kind.category_id(),
@@ -271,9 +483,11 @@ fn write_annotations(settings: &Settings, labels: &Path) -> Result<usize, Error>
         coco.images.push(CocoImage {
             id,
             file_name: format!("{id:06}.png"),
-            width: PICTURE_PX,
-            height: PICTURE_PX,
+            width: sidecar.frame.width,
+            height: sidecar.frame.height,
             scene_seed: sidecar.scene_seed.to_string(),
+            mm_per_pixel: sidecar.frame.mm_per_pixel,
+            conditions: sidecar.conditions,
         });
         for snap in sidecar.snaps {
             let [x0, y0, x1, y1] = snap.pixel_box;
@@ -285,13 +499,19 @@ fn write_annotations(settings: &Settings, labels: &Path) -> Result<usize, Error>
                 area: rounded((x1 - x0) * (y1 - y0)),
                 iscrowd: 0,
                 kind: snap.kind.name(),
-                yaw_deg: rounded(snap.yaw_deg),
+                yaw_deg: snap.yaw_deg.map(rounded),
                 depth_mm: rounded(snap.depth_mm),
                 center_mm: snap.center_mm.map(rounded),
                 contact_area_px: rounded(snap.area_px),
+                whole: snap.whole,
+                visible: rounded(snap.visible),
+                slots: snap.slots,
+                hole_mm: snap.hole_mm.map(rounded),
+                wall: snap.wall,
+                on_side: snap.on_side,
             });
         }
     }
-    write_json(&settings.out.join("annotations.json"), &coco)?;
+    write_json(&settings.out.join(ANNOTATIONS), &coco)?;
     Ok(coco.annotations.len())
 }

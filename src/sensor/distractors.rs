@@ -3,7 +3,8 @@
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
-use super::profile::{rectangle, rounded_edge, stroke};
+use super::profile::{rectangle, rounded_edge, smooth_min, stroke};
+use super::snaps::Stud;
 
 /// The recess of a screw's head.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -18,6 +19,40 @@ pub enum Drive {
 
 /// A line from point to point, in millimetres.
 pub type Line = [[f64; 2]; 2];
+
+/// Kinds of look-alikes, and of other things that are no snaps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Part {
+    /// A hook without its barb.
+    Arm,
+    /// A plain block.
+    Block,
+    /// A block of two steps.
+    Tab,
+    /// A ring with a bead and without slots.
+    Ring,
+    /// A screw's head with a slot, a cross or a hexagon.
+    Screw,
+    /// A hexagon with a round hole.
+    Nut,
+    /// A ball.
+    Ball,
+    /// A roof or a wedge.
+    Prism,
+    /// An angle of two legs.
+    Bracket,
+    /// Raised letters.
+    Letters,
+    /// A straight bar.
+    Rib,
+    /// A straight edge.
+    Edge,
+    /// A round pin.
+    Pin,
+    /// Nothing: bare gel.
+    Nothing,
+}
 
 /// A part that is no snap, in its own coordinates: heights towards the gel, at most 0.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,6 +80,59 @@ pub enum Distractor {
     /// A plate that ends at x = 0 and goes on for negative x.
     Edge {
         /// Radius of the edge.
+        fillet: f64,
+    },
+    /// A hook's arm without a barb: a block whose end falls towards x.
+    Arm {
+        /// Length along x.
+        length: f64,
+        /// Width along y.
+        width: f64,
+        /// Length of the falling end; 0 without.
+        ramp: f64,
+        /// Its angle in radians.
+        angle: f64,
+        /// Radius of the corners.
+        corner: f64,
+        /// Radius of the edges.
+        fillet: f64,
+    },
+    /// A block with a second step on it.
+    Tab {
+        /// Half the lower step's size.
+        half: [f64; 2],
+        /// The upper step: least x and y, greatest x and y.
+        upper: [f64; 4],
+        /// How much lower the lower step is.
+        step: f64,
+        /// Radius of the edges.
+        fillet: f64,
+    },
+    /// A ring without slots.
+    Ring(Stud),
+    /// A hexagon with a round hole.
+    Nut {
+        /// Half the width over the flats.
+        half_width: f64,
+        /// Radius of the hole.
+        hole: f64,
+        /// How much lower the corners are than the middle.
+        chamfer: f64,
+    },
+    /// A roof: a ridge along x whose sides fall.
+    Prism {
+        /// Half the size along x and y.
+        half: [f64; 2],
+        /// Fall of the sides over their run, towards y and against it.
+        slopes: [f64; 2],
+    },
+    /// Two legs at a right angle, one along x, one along y.
+    Bracket {
+        /// Half the size along x and y.
+        half: [f64; 2],
+        /// Width of the legs.
+        leg: f64,
+        /// Radius of the edges.
         fillet: f64,
     },
     /// A plain round pin.
@@ -114,6 +202,93 @@ impl Distractor {
         }
     }
 
+    /// Draws a part of this kind for a wide picture. `None` for [`Part::Nothing`].
+    pub fn sample_wide(rng: &mut Pcg64, part: Part) -> Option<Self> {
+        let fillet = rng.random_range(0.05..0.3);
+        Some(match part {
+            Part::Arm => {
+                let length = rng.random_range(5.0..12.0);
+                Self::Arm {
+                    length,
+                    width: rng.random_range(2.5..6.0),
+                    ramp: if rng.random_bool(0.6) {
+                        rng.random_range(0.5..0.35 * length)
+                    } else {
+                        0.0
+                    },
+                    angle: rng.random_range(20f64..50.0).to_radians(),
+                    corner: rng.random_range(0.1..0.8),
+                    fillet,
+                }
+            }
+            Part::Block => {
+                let long = rng.random_bool(0.75);
+                let (length, width) = if long {
+                    (rng.random_range(6.0..10.0), rng.random_range(3.0..5.0))
+                } else {
+                    (rng.random_range(2.0..12.0), rng.random_range(1.5..8.0))
+                };
+                let corner = rng.random_range(0.05..0.6);
+                Self::Arm { length, width, ramp: 0.0, angle: 0.5, corner, fillet }
+            }
+            Part::Tab => {
+                let half = [rng.random_range(2.5..5.5), rng.random_range(1.5..3.0)];
+                let [a, b] = half;
+                let mut share = |low: f64, high: f64| rng.random_range(low..high);
+                let upper = match (share(0.0, 1.0) * 4.0) as u32 {
+                    // Half of the length.
+                    0 | 1 => [a * share(-0.4, 0.3), -b, a, b],
+                    // Half of the width.
+                    2 => [-a, b * share(-0.4, 0.4), a, b],
+                    // Steps all round.
+                    _ => {
+                        let (x, y) = (share(0.3, 0.75), share(0.3, 0.75));
+                        [-a * x, -b * y, a * x, b * y]
+                    }
+                };
+                Self::Tab { half, upper, step: rng.random_range(0.25..0.9), fillet }
+            }
+            Part::Ring => Self::Ring(Stud::unslotted(rng)),
+            Part::Screw => {
+                let radius = rng.random_range(1.5..4.5);
+                let (drive, recess) = match rng.random_range(0..3) {
+                    0 => (Drive::Cross, radius * rng.random_range(0.1..0.22)),
+                    1 => (Drive::Slot, radius * rng.random_range(0.1..0.22)),
+                    _ => (Drive::Hex, radius * rng.random_range(0.35..0.6)),
+                };
+                Self::Screw { radius, drive, recess, dome: rng.random_range(0.0..0.5) }
+            }
+            Part::Nut => {
+                let half_width = rng.random_range(2.0..4.5);
+                Self::Nut {
+                    half_width,
+                    hole: half_width * rng.random_range(0.35..0.65),
+                    chamfer: rng.random_range(0.0..0.4),
+                }
+            }
+            Part::Ball => Self::ball(rng),
+            Part::Prism => {
+                let half = [rng.random_range(2.0..6.0), rng.random_range(1.0..4.0)];
+                let slope = rng.random_range(0.3..1.2);
+                let other = if rng.random_bool(0.6) { slope } else { rng.random_range(0.0..1.2) };
+                Self::Prism { half, slopes: [slope, other] }
+            }
+            Part::Bracket => {
+                let half = [rng.random_range(2.5..5.0), rng.random_range(2.0..4.0)];
+                Self::Bracket { half, leg: rng.random_range(0.8..0.9 * half[1]), fillet }
+            }
+            Part::Letters => Self::lettering(rng),
+            Part::Rib => Self::Rib {
+                length: rng.random_range(4.0..25.0),
+                width: rng.random_range(0.6..3.0),
+                fillet,
+            },
+            Part::Edge => Self::Edge { fillet },
+            Part::Pin => Self::Pin { radius: rng.random_range(0.8..4.0), fillet },
+            Part::Nothing => return None,
+        })
+    }
+
     /// Draws a pin that ends in a half sphere.
     pub fn ball(rng: &mut Pcg64) -> Self {
         let radius = rng.random_range(1.5..12.0);
@@ -160,13 +335,39 @@ impl Distractor {
                         [0.0, arm],
                         *recess,
                     )),
-                    Drive::Hex => {
-                        let (sin, cos) = (0.75f64.sqrt(), 0.5);
-                        recess
-                            - y.abs().max((x * sin + y * cos).abs()).max((x * sin - y * cos).abs())
-                    }
+                    Drive::Hex => recess - hexagon(x, y),
                 };
                 rounded_edge((radius - r).min(-hole), 0.15) - dome * (r / radius).powi(2)
+            }
+            Self::Arm { length, width, ramp, angle, corner, fillet } => {
+                let outline = rectangle(x, y, [length / 2.0, width / 2.0], *corner);
+                let fall = (length / 2.0 - ramp - x) * angle.tan();
+                let top = if *ramp > 0.0 { smooth_min(0.0, fall, 0.12) } else { 0.0 };
+                top + rounded_edge(outline, *fillet)
+            }
+            Self::Tab { half, upper: [x0, y0, x1, y1], step, fillet } => {
+                let on = [(x1 - x0) / 2.0, (y1 - y0) / 2.0];
+                let upper = rectangle(x - (x0 + x1) / 2.0, y - (y0 + y1) / 2.0, on, 0.1);
+                let lower = rectangle(x, y, *half, 0.1);
+                rounded_edge(upper.min(lower), *fillet).max(rounded_edge(lower, *fillet) - step)
+            }
+            Self::Ring(stud) => stud.height(x, y),
+            Self::Nut { half_width, hole, chamfer } => {
+                let r = x.hypot(y);
+                let inside = (half_width - hexagon(x, y)).min(r - hole);
+                let corner = ((r - half_width) / half_width).max(0.0);
+                rounded_edge(inside, 0.12) - chamfer * 6.0 * corner
+            }
+            Self::Prism { half, slopes } => {
+                let fall = if y > 0.0 { slopes[0] * y } else { -slopes[1] * y };
+                // The ridge is rounded.
+                smooth_min(0.0, 0.05 - fall, 0.2) - 0.05
+                    + rounded_edge(rectangle(x, y, *half, 0.1), 0.1)
+            }
+            Self::Bracket { half, leg, fillet } => {
+                let along = rectangle(x, y + half[1] - leg / 2.0, [half[0], leg / 2.0], 0.1);
+                let across = rectangle(x + half[0] - leg / 2.0, y, [leg / 2.0, half[1]], 0.1);
+                rounded_edge(along.max(across), *fillet)
             }
             Self::Edge { fillet } => rounded_edge(-x, *fillet),
             Self::Pin { radius, fillet } => rounded_edge(radius - x.hypot(y), fillet.min(*radius)),
@@ -186,9 +387,21 @@ impl Distractor {
             Self::Rib { length, width, .. } => Some([length / 2.0, width / 2.0]),
             Self::Screw { radius, .. } | Self::Pin { radius, .. } => Some([*radius; 2]),
             Self::Edge { .. } => None,
+            Self::Arm { length, width, .. } => Some([length / 2.0, width / 2.0]),
+            Self::Tab { half, .. } | Self::Prism { half, .. } | Self::Bracket { half, .. } => {
+                Some(*half)
+            }
+            Self::Ring(stud) => Some([stud.diameter / 2.0, stud.diameter / stud.oval / 2.0]),
+            Self::Nut { half_width, .. } => Some([half_width / 0.75f64.sqrt(), *half_width]),
             Self::Lettering { half, half_width, .. } => {
                 Some([half[0] + half_width, half[1] + half_width])
             }
         }
     }
+}
+
+/// Half the width over the flats of the hexagon about the origin that passes through a point.
+fn hexagon(x: f64, y: f64) -> f64 {
+    let (sin, cos) = (0.75f64.sqrt(), 0.5);
+    y.abs().max((x * sin + y * cos).abs()).max((x * sin - y * cos).abs())
 }

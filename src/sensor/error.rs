@@ -40,6 +40,46 @@ pub enum Error {
         /// The settings found.
         found: String,
     },
+    /// A file could not be written.
+    #[error(transparent)]
+    Write(#[from] crate::files::Error),
+    /// Another run writes to the data set.
+    #[error(
+        "{path}: expected a data set that no other run writes to, got one that {} writes to",
+        .holder.map_or("another process".to_owned(), |id| format!("process {id}"))
+    )]
+    Busy {
+        /// The data set's folder.
+        path: PathBuf,
+        /// The process that runs it, if it can be told.
+        holder: Option<u32>,
+    },
+    /// Presses do not determine a sensor.
+    #[error(
+        "{path}: expected presses that determine the {expected} coefficients of each channel, got \
+         {pixels} pixels that determine {found}"
+    )]
+    Undetermined {
+        /// The folder of the presses.
+        path: PathBuf,
+        /// Coefficients of a channel.
+        expected: usize,
+        /// The fewest that a channel's observations determine in any fit.
+        found: usize,
+        /// Pixels that all presses show.
+        pixels: usize,
+    },
+    /// A fitted sensor is no better than drawing nothing.
+    #[error(
+        "expected simulated presses nearer to the real ones than the untouched background, L1 \
+         {background:.2}; got {held_out:.2}"
+    )]
+    PoorFit {
+        /// Mean absolute difference of the untouched background from the presses.
+        background: f64,
+        /// The same of simulated presses.
+        held_out: f64,
+    },
     /// No scene could be found that follows the rules.
     #[error("no valid scene for seed {seed} in {attempts} attempts")]
     NoScene {

@@ -49,6 +49,31 @@ impl Layer {
     }
 }
 
+impl Layer {
+    /// What maps a wave of normal displacement `w` of the free surface to the potential `q` of its
+    /// tangential displacement, `u = −∇q`: q over w, in square millimetres.
+    ///
+    /// `2 x² / (sinh 2x − 2x) / k²` with `x = k H`: the tangential half of the solution that
+    /// [`compliance`](Self::compliance) is the normal half of. It tends to lubrication's
+    /// `3 / (2 x k²)` for small `x`, and to 0 for large `x`: an incompressible half-space does not
+    /// move sideways under pressure.
+    pub fn sideways(&self, k: f64) -> f64 {
+        let x = k.abs() * self.thickness_mm;
+        if x == 0.0 {
+            return 0.0;
+        }
+        let numerator = if x < 0.02 {
+            // sinh 2x − 2x = (2x)³/6 + (2x)⁵/120 + …
+            1.0 / (x * (8.0 / 12.0 + x * x * 32.0 / 240.0))
+        } else {
+            // Times 2 exp(−2x) above and below, which cannot overflow.
+            let e = (-2.0 * x).exp();
+            4.0 * x * x * e / (1.0 - e * e - 4.0 * x * e)
+        };
+        numerator / (k * k)
+    }
+}
+
 /// A square periodic grid of cells with the origin of its coordinates at the centre.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
@@ -86,7 +111,7 @@ const COLUMN_BLOCK: usize = 8;
 /// Maps pressures to displacements on a [`Grid`]. Plans and buffers are kept between calls.
 pub struct Elasticity {
     grid: Grid,
-    /// Compliance over wavenumber, `[cells/2 + 1 (kx)][cells (ky)]`, with the transforms' 1/n².
+    /// Response over wavenumber, `[cells/2 + 1 (kx)][cells (ky)]`, with the transforms' 1/n².
     kernel: Vec<f32>,
     row_forward: Arc<dyn RealToComplex<f32>>,
     row_inverse: Arc<dyn ComplexToReal<f32>>,
@@ -101,6 +126,16 @@ pub struct Elasticity {
 impl Elasticity {
     /// Plans the transforms of `grid` and tabulates the compliance of `layer` on it.
     pub fn new(layer: &Layer, grid: Grid) -> Self {
+        Self::with_response(grid, |k| layer.compliance(k))
+    }
+
+    /// Plans a map from normal displacements in millimetres to the potential of the tangential
+    /// ones, [`Layer::sideways`].
+    pub fn sideways(layer: &Layer, grid: Grid) -> Self {
+        Self::with_response(grid, |k| layer.sideways(k))
+    }
+
+    fn with_response(grid: Grid, response: impl Fn(f64) -> f64) -> Self {
         let n = grid.cells;
         let half = n / 2 + 1;
         let mut real_planner = RealFftPlanner::<f32>::new();
@@ -117,7 +152,7 @@ impl Elasticity {
             for ky in 0..n {
                 let ky = ky.min(n - ky);
                 let k = step * (kx as f64).hypot(ky as f64);
-                kernel.push((layer.compliance(k) * normalisation) as f32);
+                kernel.push((response(k) * normalisation) as f32);
             }
         }
         let scratch = [

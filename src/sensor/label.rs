@@ -1,37 +1,41 @@
 //! Boxes round the imprints.
 
-use super::PICTURE_PX;
 use super::camera::Camera;
 use super::contact::Contact;
 use super::gel::Grid;
-use super::scene::Body;
+use super::scene::{Body, Placed};
+use super::snaps::Snap;
 
-/// A box in pixels: `x0, y0, x1, y1` as edges of pixels, so the whole picture is 0 to 1000.
+/// A box in pixels: `x0, y0, x1, y1` as edges of pixels, so the whole picture is 0 to its size.
 pub type PixelBox = [f64; 4];
 
 /// The imprint of one part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Imprint {
-    /// Tight box round the imprint, clipped to the picture.
+    /// Tight box round the imprint, clipped to what the picture shows of the gel.
     pub pixel_box: PixelBox,
     /// Area of the gel that touches the part, within the picture, in square pixels.
     pub area_px: f64,
 }
 
 /// Finds the imprint of each of the first `parts` parts of a body: the cells of the gel that bear
-/// on it, seen through the camera.
+/// on it, seen through the camera, as far as they lie in `window`.
 ///
-/// `None` where a part does not touch the gel within the picture.
+/// A cell belongs to the part that reaches deepest there: a wall that a hook grows from is a part
+/// of its own, and not in the hook's box.
+///
+/// `None` where a part does not touch the gel within the window.
 pub fn imprints(
     body: &Body,
     contact: &Contact,
     grid: Grid,
     camera: &Camera,
+    window: PixelBox,
     parts: usize,
 ) -> Vec<Option<Imprint>> {
     let n = grid.cells;
     let half = grid.spacing_mm / 2.0;
-    let side = PICTURE_PX as f64;
+    let [left, top, right, bottom] = window;
     let mut found: Vec<Option<Imprint>> = vec![None; parts];
     for (i, &pressure) in contact.pressure.iter().enumerate() {
         let owner = usize::from(body.owner[i]);
@@ -42,7 +46,7 @@ pub fn imprints(
         let depth = f64::from(contact.displacement[i]);
         let [x0, y0] = camera.project(x - half, y - half, depth);
         let [x1, y1] = camera.project(x + half, y + half, depth);
-        let cell = [x0.max(0.0), y0.max(0.0), x1.min(side), y1.min(side)];
+        let cell = [x0.max(left), y0.max(top), x1.min(right), y1.min(bottom)];
         if cell[0] >= cell[2] || cell[1] >= cell[3] {
             continue;
         }
@@ -53,4 +57,32 @@ pub fn imprints(
         imprint.area_px += area;
     }
     found
+}
+
+/// Points along the longer side of a snap at which [`visible_share`] looks.
+const LOOKS: usize = 64;
+
+/// How much of what a snap presses below the undeformed gel lies in a window of the picture, 0 to 1.
+pub fn visible_share(snap: &Placed<Snap>, camera: &Camera, window: PixelBox) -> f64 {
+    let [a, b] = snap.part.half_size();
+    let step = 2.0 * a.max(b) / LOOKS as f64;
+    let (sin, cos) = snap.yaw.sin_cos();
+    let [left, top, right, bottom] = window;
+    let (mut inside, mut all) = (0u32, 0u32);
+    let counts = [a, b].map(|half| (half / step).ceil() as i32);
+    for j in -counts[1]..=counts[1] {
+        for i in -counts[0]..=counts[0] {
+            let (u, v) = (f64::from(i) * step, f64::from(j) * step);
+            let x = snap.center_mm[0] + cos * u - sin * v;
+            let y = snap.center_mm[1] + sin * u + cos * v;
+            let depth = snap.penetration(x, y, Snap::height);
+            if depth > 0.0 {
+                all += 1;
+                let [px, py] = camera.project(x, y, depth);
+                let seen = (left..=right).contains(&px) && (top..=bottom).contains(&py);
+                inside += u32::from(seen);
+            }
+        }
+    }
+    if all == 0 { 0.0 } else { f64::from(inside) / f64::from(all) }
 }

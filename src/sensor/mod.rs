@@ -3,45 +3,61 @@
 //! | step | module | what it does |
 //! |---|---|---|
 //! | parts | [`snaps`], [`distractors`], [`profile`] | height fields of what presses on the gel |
-//! | layout | [`scene`] | draws a scene from a seed and makes one rigid body of it |
-//! | mechanics | [`gel`], [`contact`] | the gel's surface under that body |
-//! | light | [`optics`], [`coating`] | brightness of a slope; the coating, its wear and its dust |
-//! | camera | [`camera`] | parallax, defocus, noise, 8 bits |
+//! | layout | [`scene`], [`layout`] | draws a plain or a wide scene and makes one rigid body of it |
+//! | mechanics | [`gel`], [`contact`], [`smooth`], [`surface`] | the gel's surface under that body |
+//! | conditions | [`frame`], [`conditions`] | what differs from sensor to sensor, drawn or forced |
+//! | light | [`optics`], [`lamps`], [`shadow`] | brightness of a slope, measured or modelled; shadows |
+//! | coating | [`coating`], [`markers`] | the coating, its wear and its dust; its print |
+//! | camera | [`camera`] | parallax, distortion, defocus, noise, 8 bits |
 //! | labels | [`label`] | boxes round the imprints, seen through the same camera |
-//! | picture | [`render`] | all of it for one seed |
+//! | picture | [`look`], [`render`] | one sensor's picture of a surface; all of it for one seed |
 //! | files | [`dataset`] | folders of pictures with COCO labels |
 //! | truth | [`calibrate`] | fits the optics to real presses and measures the distance to them |
+//!
+//! There are two distributions. *Plain* is the paper's sensor. *Wide* is wider than any one sensor,
+//! so that what a detector learns from it is the snap and not the sensor: it need not be right
+//! about any sensor, but some picture of it should be near each. A fifth of it is plain.
 //!
 //! Millimetres have their origin in the gel's centre, x to the right, y down, depth into the gel
 //! and towards the camera. Pixels count from the picture's upper left corner; whole numbers are
 //! edges of pixels.
 //!
+//! What is physics and what is drawn. The gel's surface, the sideways motion of its print under
+//! pressure, parallax and noise are solved for or follow measurements, and so does the plain
+//! shading. In wide pictures these are approximations of a renderer: shading beyond its measured
+//! strength ([`optics`], scaled), Lambert and Phong lamps with a gain ([`lamps`]), shadows of
+//! parallel rays with softened edges ([`shadow`]), the gel's slide with a part ([`render`]), a
+//! quarter of surfaces that are smoothed reliefs without mechanics ([`smooth`]), the coating's
+//! thickness as a blur, and light that is never scattered from slope to slope.
+//!
 //! What is left out: friction, the gel's edge as a free side, slopes so steep that linear
-//! elasticity fails, refraction in the acrylic, and shadows. The distance to real pictures that
-//! [`calibrate`] reports is what that costs on a ball; no real picture of a snap has been
-//! compared.
+//! elasticity fails, refraction in the acrylic, and in plain pictures shadows. The distance to real
+//! pictures that [`calibrate`] reports is what that costs on a ball; no real picture of a snap has
+//! been compared.
 
 pub mod calibrate;
 pub mod camera;
 pub mod coating;
+pub mod conditions;
 pub mod contact;
 pub mod dataset;
 pub mod distractors;
+pub mod frame;
 pub mod gel;
 pub mod label;
+pub mod lamps;
+pub mod layout;
+pub mod look;
+pub mod markers;
 pub mod optics;
 pub mod profile;
 pub mod render;
 pub mod scene;
+pub mod shadow;
+pub mod smooth;
 pub mod snaps;
+pub mod surface;
 
 mod error;
 
 pub use error::Error;
-
-/// Side of a picture in pixels.
-pub const PICTURE_PX: usize = 1000;
-/// Side of a pixel on the undeformed gel, in millimetres.
-pub const MM_PER_PX: f64 = 0.04;
-/// Side of the gel, and of the picture on it, in millimetres.
-pub const GEL_MM: f64 = PICTURE_PX as f64 * MM_PER_PX;

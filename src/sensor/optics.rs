@@ -102,24 +102,45 @@ impl Shading {
     /// Draws a sensor whose edges are no fainter than real ones.
     pub fn sample(rng: &mut Pcg64) -> Self {
         loop {
-            let shading = Self::sample_any(rng);
+            let shading = Self::sample_any(rng, None);
             if shading.contrast() >= LEAST_CONTRAST {
                 return shading;
             }
         }
     }
 
+    /// Draws a sensor of this colour and [`contrast`](Self::contrast).
+    pub fn sample_wide(rng: &mut Pcg64, colour: f64, contrast: f64) -> Self {
+        let mut shading = Self::sample_any(rng, Some(colour.max(0.0)));
+        let gain = contrast / shading.contrast().max(1e-3);
+        for value in shading.channels.as_flattened_mut().as_flattened_mut() {
+            *value *= gain;
+        }
+        shading
+    }
+
+    /// The direction on the gel in which a channel's light comes in the picture's middle: where a
+    /// slope against it is brightest. In radians from x towards y.
+    pub fn azimuth(&self, channel: usize) -> f64 {
+        let [nx, ny, ..] = self.channels[channel];
+        // The gradient of depth points away from the light on a lit slope.
+        f64::atan2(-ny[0], -nx[0])
+    }
+
     /// Draws a sensor: one of the real ones, turned, its lights mixed into channels.
     ///
     /// Where all channels see nearly the same lights the picture is nearly grey, as with a silver
     /// coating; where each sees its own, it is coloured. With many lights on at once their slopes
-    /// cancel and only the darkening of steep slopes remains.
-    fn sample_any(rng: &mut Pcg64) -> Self {
+    /// cancel and only the darkening of steep slopes remains. `colour` says how far channels see
+    /// their own lights, 0 to 1; it is drawn without.
+    fn sample_any(rng: &mut Pcg64, colour: Option<f64>) -> Self {
         let sensors = measured_sensors();
         let sensor = &sensors[rng.random_range(0..sensors.len())];
         let lights = sensor.lights.len();
         // Exponent 0 lights all equally, a large one singles out few.
-        let exponent = rng.random_range(0.3..5.0);
+        let drawn = rng.random_range(0.3..5.0f64);
+        // Channels that see lights of their own must see few each, or all see the same.
+        let exponent = colour.map_or(drawn, |colour| drawn.max(4.0 * colour));
         let weights = |rng: &mut Pcg64| -> Vec<f64> {
             let raw: Vec<f64> =
                 (0..lights).map(|_| rng.random_range(0.05f64..1.0).powf(exponent)).collect();
@@ -127,11 +148,12 @@ impl Shading {
             raw.into_iter().map(|w| w / sum).collect()
         };
         let common = weights(rng);
-        let colour = if rng.random_bool(0.5) {
+        let drawn = if rng.random_bool(0.5) {
             rng.random_range(0.0..0.15)
         } else {
             rng.random_range(0.15..1.0)
         };
+        let colour = colour.unwrap_or(drawn);
         let strength = rng.random_range(0.75..1.3);
         let locality = rng.random_range(0.3..0.8);
         let channels = [(); 3].map(|()| {
@@ -187,6 +209,11 @@ fn turn_channel(channel: &Channel, m: &[[f64; 2]; 2]) -> Channel {
     turned
 }
 
+/// Least share of a term, squared and summed over the observations, that the terms before it leave
+/// unexplained. With less than this, noise weighs over a thousand times as much in its coefficient
+/// as in that of a term that stands alone.
+const LEAST_INDEPENDENT: f64 = 1e-6;
+
 /// Least squares for the coefficients of one channel, by the normal equations.
 pub struct Fit {
     matrix: Vec<f64>,
@@ -235,6 +262,31 @@ impl Fit {
         for (a, b) in self.right.iter_mut().zip(&other.right) {
             *a += b;
         }
+    }
+
+    /// Number of coefficients, at most [`TERMS`], that the observations determine: terms that are
+    /// no combination of those before them, by the pivots of Cholesky's factorisation with every
+    /// term scaled to unit length.
+    pub fn rank(&self) -> usize {
+        let n = TERMS;
+        let mut l = vec![0.0; n * n];
+        let mut rank = 0;
+        for i in 0..n {
+            for j in 0..=i {
+                let dot: f64 = (0..j).map(|k| l[i * n + k] * l[j * n + k]).sum();
+                let length = (self.matrix[i * n + i] * self.matrix[j * n + j]).sqrt();
+                let value = self.matrix[i * n + j] / length - dot;
+                if i != j {
+                    let pivot = l[j * n + j];
+                    l[i * n + j] = if pivot > 0.0 { value / pivot } else { 0.0 };
+                } else if value > LEAST_INDEPENDENT {
+                    // A term that is zero everywhere makes a NaN, which is not greater.
+                    l[i * n + i] = value.sqrt();
+                    rank += 1;
+                }
+            }
+        }
+        rank
     }
 
     /// The coefficients that fit best, by Cholesky's factorisation. A ridge of 1e-6 of the mean

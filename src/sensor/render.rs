@@ -1,115 +1,76 @@
-//! From a scene to a picture and its labels.
+//! From a seed to a picture and its labels.
 
 use image::RgbImage;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
-use super::camera::{Camera, NormalTable};
-use super::coating::Coating;
-use super::contact::{Stop, solve};
+use super::Error;
+use super::camera::Camera;
+use super::conditions::{Conditions, Distribution, Forced, Mechanics, Optics, TYPICAL_CONTRAST};
+use super::contact::{Contact, Stop, solve};
+use super::distractors::Part;
+use super::frame::Frame;
 use super::gel::{Elasticity, Grid, Layer};
-use super::label::{Imprint, PixelBox, imprints};
-use super::optics::Shading;
+use super::label::{Imprint, PixelBox, imprints, visible_share};
+use super::layout::Region;
+use super::look::{Light, Look, Painter, Sideways};
 use super::scene::{Mix, Placed, Scene};
+use super::smooth;
 use super::snaps::{Kind, Snap};
-use super::{Error, MM_PER_PX, PICTURE_PX};
+use super::surface::Surface;
 
-/// The deformed surface of the gel.
-pub struct Surface {
-    grid: Grid,
-    /// Depth and gradient of each cell.
-    cells: Vec<[f32; 3]>,
-}
-
-/// The surface at a point.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SurfacePoint {
-    /// Displacement into the gel in millimetres.
-    pub depth: f32,
-    /// Its derivatives along x and y.
-    pub gradient: [f32; 2],
-}
-
-impl Surface {
-    /// Takes displacements in millimetres, `[cells][cells]`, and finds gradients by central
-    /// differences.
-    ///
-    /// # Panics
-    /// If `displacement` is not as long as the grid.
-    pub fn new(grid: Grid, displacement: Vec<f32>) -> Self {
-        let n = grid.cells;
-        assert_eq!(displacement.len(), n * n);
-        let scale = (0.5 / grid.spacing_mm) as f32;
-        let mut cells = Vec::with_capacity(n * n);
-        for y in 0..n {
-            let above = &displacement[y.saturating_sub(1) * n..][..n];
-            let row = &displacement[y * n..][..n];
-            let below = &displacement[(y + 1).min(n - 1) * n..][..n];
-            for x in 0..n {
-                cells.push([
-                    row[x],
-                    scale * (row[(x + 1).min(n - 1)] - row[x.saturating_sub(1)]),
-                    scale * (below[x] - above[x]),
-                ]);
-            }
-        }
-        Self { grid, cells }
-    }
-
-    /// The surface at a point in millimetres from the centre, between cells by bilinear
-    /// interpolation; the outermost cells go on for ever.
-    pub fn at(&self, x_mm: f64, y_mm: f64) -> SurfacePoint {
-        let last = (self.grid.cells - 1) as f32;
-        let x = (self.grid.index(x_mm) as f32).clamp(0.0, last - 0.001);
-        let y = (self.grid.index(y_mm) as f32).clamp(0.0, last - 0.001);
-        let (column, row) = (x as usize, y as usize);
-        let (fx, fy) = (x - column as f32, y - row as f32);
-        let i = row * self.grid.cells + column;
-        let [a, b] = [self.cells[i], self.cells[i + 1]];
-        let [c, d] = [self.cells[i + self.grid.cells], self.cells[i + self.grid.cells + 1]];
-        let mix = |k: usize| {
-            let top = a[k] + fx * (b[k] - a[k]);
-            let bottom = c[k] + fx * (d[k] - c[k]);
-            top + fy * (bottom - top)
-        };
-        SurfacePoint { depth: mix(0), gradient: [mix(1), mix(2)] }
-    }
-}
-
-impl Surface {
-    /// The point of the surface that the camera sees where a flat gel would show the point
-    /// `x_mm`, `y_mm`.
-    ///
-    /// It solves `x = x_mm (1 − depth(x) / distance)`, [`Camera::project`] backwards, in two steps
-    /// from the flat gel. A step shrinks the error by the slope times `x_mm / distance`, which is
-    /// 0.16 for a slope of 1 at the gel's edge.
-    pub fn seen(&self, camera: &Camera, x_mm: f64, y_mm: f64) -> SurfacePoint {
-        let mut point = self.at(x_mm, y_mm);
-        for _ in 0..2 {
-            if point.depth.abs() < 1e-3 {
-                break;
-            }
-            let shrink = 1.0 - f64::from(point.depth) / camera.distance_mm;
-            point = self.at(x_mm * shrink, y_mm * shrink);
-        }
-        point
-    }
-}
-
-/// Cells of the contact's grid: the gel, two pixels a cell, and half as much again of free gel
-/// round it, so that the periodic images are far.
-pub const GRID: Grid = Grid { cells: 640, spacing_mm: 2.0 * MM_PER_PX };
+/// Cells of a plain picture's contact: the gel, two pixels a cell, and half as much again of free
+/// gel round it, so that the periodic images are far.
+pub const GRID: Grid = Grid { cells: 640, spacing_mm: 2.0 * Frame::PAPER.mm_per_pixel };
 
 /// When the contact is good enough: half a micrometre.
 pub const STOP: Stop = Stop { tolerance_mm: 5e-4, max_iterations: 150 };
 
-/// An imprint's longer side must be at least this, in pixels, or the scene is drawn anew: no snap
-/// is visible without a label.
-pub const LEAST_IMPRINT_PX: f64 = 1.5 / MM_PER_PX;
+/// An imprint's longer side must be at least this, in millimetres, or the scene is drawn anew: no
+/// snap is visible without a label.
+pub const LEAST_IMPRINT_MM: f64 = 1.5;
+
+/// Least share of a wide picture's snap that lies in the picture.
+const LEAST_VISIBLE: f64 = 0.25;
 
 /// Scenes drawn for one seed at most.
 const ATTEMPTS: u32 = 50;
+
+/// Share of wide pictures that are drawn as plain ones.
+const PLAIN_SHARE: f64 = 0.2;
+
+/// How far a wide picture's gel goes on beyond the picture, in millimetres.
+const BEYOND_MM: f64 = 2.0;
+
+/// Free gel between a wide picture's gel and the edge of the periodic grid, in millimetres, as in
+/// [`GRID`].
+const FREE_MM: f64 = 5.6;
+
+/// What to draw.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Request {
+    /// Which snaps.
+    pub mix: Mix,
+    /// From what the conditions are drawn.
+    pub conditions: Distribution,
+    /// The one kind of thing that is no snap; in wide pictures only.
+    pub part: Option<Part>,
+    /// Conditions that are set; in wide pictures only.
+    pub forced: Forced,
+}
+
+impl Request {
+    /// Plain pictures.
+    pub fn plain(mix: Mix) -> Self {
+        Self { mix, ..Self::default() }
+    }
+
+    /// Wide pictures.
+    pub fn wide(mix: Mix) -> Self {
+        Self { mix, conditions: Distribution::Wide, ..Self::default() }
+    }
+}
 
 /// A labelled snap.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -120,31 +81,58 @@ pub struct Label {
     pub pixel_box: PixelBox,
     /// Area in contact, in square pixels.
     pub area_px: f64,
-    /// Rotation from x towards y, in degrees.
-    pub yaw_deg: f64,
+    /// For A the direction from the root of the arm to its barbed tip, from x towards y, in degrees
+    /// above −180 and up to 180; also of a hook on its side. B has none.
+    pub yaw_deg: Option<f64>,
     /// Depth of the highest point below the undeformed surface, in millimetres.
     pub depth_mm: f64,
     /// Middle of the box in millimetres from the picture's centre, x right, y down.
     pub center_mm: [f64; 2],
+    /// Whether the whole snap lies in the picture.
+    pub whole: bool,
+    /// Share of the snap below the undeformed surface that lies in the picture.
+    pub visible: f64,
+    /// Number of slots, of B.
+    pub slots: Option<u32>,
+    /// Narrowest diameter of the hole in millimetres, of B.
+    pub hole_mm: Option<f64>,
+    /// Whether the wall that A grows from presses too; it is not in the box.
+    pub wall: bool,
+    /// Whether A lies on its side.
+    pub on_side: bool,
 }
 
 /// A picture with its labels.
 #[derive(Debug, Clone)]
 pub struct Rendered {
-    /// The picture, [`PICTURE_PX`] square.
+    /// The picture.
     pub picture: RgbImage,
+    /// What it measures.
+    pub frame: Frame,
+    /// How it was taken.
+    pub conditions: Conditions,
     /// Labels of all snaps in it.
     pub labels: Vec<Label>,
 }
 
+/// The transforms of one gel on one grid.
+struct Plan {
+    layer: Layer,
+    elasticity: Elasticity,
+    sideways: Option<Elasticity>,
+}
+
+impl Plan {
+    fn new(layer: Layer, grid: Grid) -> Self {
+        Self { layer, elasticity: Elasticity::new(&layer, grid), sideways: None }
+    }
+}
+
 /// Renders scenes; keeps plans and buffers between pictures. One a thread.
 pub struct Renderer {
-    elasticity: Elasticity,
-    normal: NormalTable,
-    texture: Vec<f32>,
-    gradients: Vec<[f32; 2]>,
-    plane: Vec<f32>,
-    scratch: Vec<f32>,
+    plain: Option<Plan>,
+    wide: Option<Plan>,
+    painter: Painter,
 }
 
 impl Default for Renderer {
@@ -154,125 +142,232 @@ impl Default for Renderer {
 }
 
 impl Renderer {
-    /// Plans the transforms and makes the buffers.
+    /// A renderer without plans; they are made when a picture needs them.
     pub fn new() -> Self {
-        Self {
-            elasticity: Elasticity::new(&Layer::default(), GRID),
-            normal: NormalTable::new(),
-            texture: Vec::new(),
-            gradients: Vec::new(),
-            plane: Vec::new(),
-            scratch: Vec::new(),
-        }
+        Self { plain: None, wide: None, painter: Painter::new() }
     }
 
-    /// Renders the scene of this seed.
+    /// Renders the picture of this seed.
     ///
     /// # Errors
     /// [`Error::NoScene`] if no scene drawn from the seed shows all of its snaps.
-    pub fn render(&mut self, seed: u64, mix: Mix) -> Result<Rendered, Error> {
+    pub fn render(&mut self, seed: u64, request: &Request) -> Result<Rendered, Error> {
+        if request.conditions == Distribution::Plain {
+            return self.plain(seed, request.mix);
+        }
+        // Streams of their own, so that what is forced changes nothing else.
+        let mut streams = Pcg64::seed_from_u64(seed);
+        let mut stream = || Pcg64::seed_from_u64(streams.random_range(0..u64::MAX));
+        let [mut choice, mut conditions, mut scenes, mut sensor] = [(); 4].map(|()| stream());
+        let free = request.part.is_none() && request.forced == Forced::default();
+        if choice.random_bool(PLAIN_SHARE) && free {
+            return self.plain(choice.random_range(0..u64::MAX), request.mix);
+        }
+        let (frame, conditions) = Conditions::sample(&mut conditions, &request.forced);
+        self.wide(seed, request, frame, conditions, &mut scenes, &mut sensor)
+    }
+
+    fn plain(&mut self, seed: u64, mix: Mix) -> Result<Rendered, Error> {
+        let frame = Frame::PAPER;
+        let plan = self.plain.get_or_insert_with(|| Plan::new(Layer::default(), GRID));
         let mut rng = Pcg64::seed_from_u64(seed);
         let camera = Camera { blur_px: rng.random_range(0.6..2.2), ..Camera::default() };
+        let [width, height] = frame.size_px();
+        let window = [0.0, 0.0, width, height];
         for _ in 0..ATTEMPTS {
             let scene = Scene::sample(rng.random_range(0..u64::MAX), mix);
             if matches!(mix, Mix::A | Mix::B) && scene.snaps.is_empty() {
                 continue;
             }
-            let body = scene.body(GRID);
-            let contact = solve(&mut self.elasticity, &body.penetration, &[], STOP);
-            let found = imprints(&body, &contact, GRID, &camera, scene.snaps.len());
-            let labels: Vec<Label> = scene
-                .snaps
-                .iter()
-                .zip(found)
-                .filter_map(|(snap, imprint)| label(snap, imprint?))
-                .collect();
-            if labels.len() == scene.snaps.len() {
-                let surface = Surface::new(GRID, contact.displacement);
-                let picture = self.picture(&surface, &camera, &mut rng);
-                return Ok(Rendered { picture, labels });
-            }
+            let body = scene.body(GRID, frame.size_mm());
+            let contact = solve(&mut plan.elasticity, &body.penetration, &[], STOP);
+            let found = imprints(&body, &contact, GRID, &camera, window, scene.snaps.len());
+            let Some(labels) = labels(&scene.snaps, &found, &camera, window) else { continue };
+            let surface = Surface::new(GRID, contact.displacement);
+            let look = Look::plain(&mut rng, camera);
+            let picture = self.painter.paint(&look, &surface, None, &mut rng);
+            let conditions = plain_conditions(&look, plan.layer, window);
+            return Ok(Rendered { picture, frame, conditions, labels });
         }
         Err(Error::NoScene { seed, attempts: ATTEMPTS })
     }
 
-    /// The picture that a randomly drawn sensor takes of this surface.
-    fn picture(&mut self, surface: &Surface, camera: &Camera, rng: &mut Pcg64) -> RgbImage {
-        const N: usize = PICTURE_PX;
-        let shading = Shading::sample(rng);
-        let coating = Coating::sample(rng);
-        let exposure = rng.random_range(0.85f32..1.15);
-
-        self.gradients.clear();
-        for y in 0..N {
-            let y_mm = (y as f64 + 0.5 - N as f64 / 2.0) * MM_PER_PX;
-            for x in 0..N {
-                let x_mm = (x as f64 + 0.5 - N as f64 / 2.0) * MM_PER_PX;
-                self.gradients.push(surface.seen(camera, x_mm, y_mm).gradient);
-            }
+    fn wide(
+        &mut self,
+        seed: u64,
+        request: &Request,
+        frame: Frame,
+        conditions: Conditions,
+        scenes: &mut Pcg64,
+        sensor: &mut Pcg64,
+    ) -> Result<Rendered, Error> {
+        let camera = Camera {
+            frame,
+            distance_mm: if request.forced.mild {
+                125.0 * frame.longer_mm() / Frame::PAPER.longer_mm()
+            } else {
+                frame.longer_mm() * sensor.random_range(1.5..4.0)
+            },
+            distortion: conditions.distortion,
+            blur_px: conditions.blur_px,
+            snr_db: conditions.snr_db,
+            read_noise: sensor.random_range(0.3..1.5),
+        };
+        let window = conditions.window;
+        let visible = region(&frame, window);
+        let layer = Layer { thickness_mm: conditions.gel_mm, ..Layer::default() };
+        let gel_mm = frame.size_mm().map(|side| side + 2.0 * BEYOND_MM);
+        let grid = contact_grid(&frame, gel_mm);
+        if self
+            .wide
+            .as_ref()
+            .is_none_or(|plan| plan.layer != layer || plan.elasticity.grid() != grid)
+        {
+            self.wide = Some(Plan::new(layer, grid));
         }
-        coating.texture(&self.normal, &mut self.texture, &mut self.gradients);
-
-        let mut bytes = vec![0u8; N * N * 3];
-        self.plane.resize(N * N, 0.0);
-        for channel in 0..3 {
-            let coefficients = &shading.channels[channel];
-            for y in 0..N {
-                let v = ((y as f64 + 0.5) * 2.0 / N as f64 - 1.0) as f32;
-                // Along a row each coefficient is a quadratic in x.
-                let rows = coefficients.map(|c| {
-                    let c = c.map(|c| c as f32);
-                    [c[0] + v * (c[2] + v * c[5]), c[1] + v * c[4], c[3]]
-                });
-                let row = y * N..(y + 1) * N;
-                let values = self.plane[row.clone()]
-                    .iter_mut()
-                    .zip(&self.gradients[row.clone()])
-                    .zip(&self.texture[row])
-                    .enumerate();
-                for (x, ((value, &[gx, gy]), texture)) in values {
-                    let u = (x as f32 + 0.5) * (2.0 / N as f32) - 1.0;
-                    let [a, b, c, d, e] = rows.map(|r| r[0] + u * (r[1] + u * r[2]));
-                    let scale = 1.0 / (1.0 + gx * gx + gy * gy).sqrt();
-                    let (nx, ny) = (gx * scale, gy * scale);
-                    let change = nx * (a + c * nx + d * ny) + ny * (b + e * ny);
-                    *value = exposure * texture * (1.0 + change).max(0.02);
-                }
+        let plan = self.wide.get_or_insert_with(|| Plan::new(layer, grid));
+        // The coating has a thickness, and rounds edges by it; less than a cell would show the grid.
+        let skin_cells = (sensor.random_range(0.05..0.15) / grid.spacing_mm).max(0.9);
+        let falloff_mm = sensor.random_range(0.1f64..0.8);
+        for _ in 0..ATTEMPTS {
+            let rng = &mut Pcg64::seed_from_u64(scenes.random_range(0..u64::MAX));
+            let scene =
+                Scene::sample_wide(rng, visible, request.mix, request.part, &request.forced);
+            if matches!(request.mix, Mix::A | Mix::B) && scene.snaps.is_empty() {
+                continue;
             }
-            // The flat field is smooth: every eighth column is enough.
-            const STEP: usize = 8;
-            for y in 0..N {
-                let v = ((y as f64 + 0.5) * 2.0 / N as f64 - 1.0) as f32;
-                let at = |x: usize| coating.flat(channel, x as f32 * (2.0 / N as f32) - 1.0, v);
-                let mut left = at(0);
-                for x in (0..N).step_by(STEP) {
-                    let right = at(x + STEP);
-                    for i in 0..STEP {
-                        let t = (i as f32 + 0.5) / STEP as f32;
-                        self.plane[y * N + x + i] *= left + t * (right - left);
-                    }
-                    left = right;
-                }
+            let seen = |snap| visible_share(snap, &camera, window) >= LEAST_VISIBLE;
+            if !scene.snaps.iter().all(seen) {
+                continue;
             }
-            camera.blur(&mut self.plane, &mut self.scratch);
-            camera.digitise(&self.plane, &self.normal, rng, &mut bytes, channel, 3);
+            let body = scene.body(grid, gel_mm);
+            let contact = match conditions.mechanics {
+                Mechanics::Elastic => solve(&mut plan.elasticity, &body.penetration, &[], STOP),
+                Mechanics::Smoothed => smooth::pressed(grid, &body.penetration, falloff_mm),
+            };
+            let found = imprints(&body, &contact, grid, &camera, window, scene.snaps.len());
+            let Some(labels) = labels(&scene.snaps, &found, &camera, window) else { continue };
+            let look = Look::wide(sensor, camera, &conditions);
+            let sideways = look.markers.is_some().then(|| plan.sideways(&contact, sensor));
+            let mut displacement = contact.displacement;
+            smooth::blur(grid.cells, &mut displacement, skin_cells);
+            let surface = Surface::new(grid, displacement);
+            let picture = self.painter.paint(&look, &surface, sideways.as_ref(), sensor);
+            return Ok(Rendered { picture, frame, conditions, labels });
         }
-        RgbImage::from_raw(N as u32, N as u32, bytes).expect("three bytes a pixel")
+        Err(Error::NoScene { seed, attempts: ATTEMPTS })
     }
 }
 
-fn label(snap: &Placed<Snap>, imprint: Imprint) -> Option<Label> {
+impl Plan {
+    /// How the gel under this contact moved sideways: by incompressibility as the layer's solution
+    /// says; and with the parts, which slide along by up to 0.4 mm and take the gel near them with
+    /// them. The latter is drawn, not solved: the contact is frictionless.
+    fn sideways(&mut self, contact: &Contact, rng: &mut Pcg64) -> Sideways {
+        let grid = self.elasticity.grid();
+        let all = vec![true; grid.cells];
+        let transform =
+            self.sideways.get_or_insert_with(|| Elasticity::sideways(&self.layer, grid));
+        let mut potential = vec![0.0; grid.len()];
+        transform.displacement(&contact.displacement, &all, &all, &mut potential);
+        let mut share: Vec<f32> =
+            contact.pressure.iter().map(|&p| if p > 0.0 { 1.0 } else { 0.0 }).collect();
+        let reach = 0.4 * self.layer.thickness_mm;
+        smooth::blur(grid.cells, &mut share, reach / grid.spacing_mm);
+        let angle = rng.random_range(0.0..std::f64::consts::TAU);
+        let slide = if rng.random_bool(0.5) { rng.random_range(0.0..0.4) } else { 0.0 };
+        Sideways {
+            potential: Surface::new(grid, potential),
+            share: Surface::new(grid, share),
+            shear_mm: [slide * f64::cos(angle), slide * f64::sin(angle)],
+        }
+    }
+}
+
+/// The grid of a wide picture's contact: two pixels a cell within 0.05 and 0.08 mm, no more than
+/// 640 cells, a number whose transforms are fast.
+pub fn contact_grid(frame: &Frame, gel_mm: [f64; 2]) -> Grid {
+    const CELLS: [usize; 16] =
+        [240, 256, 288, 320, 360, 384, 400, 432, 450, 480, 500, 512, 540, 576, 600, 640];
+    let side = f64::max(gel_mm[0], gel_mm[1]) + 2.0 * FREE_MM;
+    let wanted = side / (2.0 * frame.mm_per_pixel).clamp(0.05, 0.08);
+    let cells = CELLS.into_iter().find(|&cells| cells as f64 >= wanted).unwrap_or(640);
+    Grid { cells, spacing_mm: side / cells as f64 }
+}
+
+/// What of the gel a window of the picture shows.
+fn region(frame: &Frame, [x0, y0, x1, y1]: PixelBox) -> Region {
+    let ([left, top], [right, bottom]) = (frame.to_mm([x0, y0]), frame.to_mm([x1, y1]));
+    [left, top, right, bottom]
+}
+
+fn plain_conditions(look: &Look, layer: Layer, window: PixelBox) -> Conditions {
+    let contrast = match &look.light {
+        Light::Measured(shading) => shading.contrast(),
+        Light::Lamps(lamps) => lamps.contrast(),
+    };
+    Conditions {
+        plain: true,
+        optics: Optics::Measured,
+        mechanics: Mechanics::Elastic,
+        gel_mm: layer.thickness_mm,
+        strength: contrast / TYPICAL_CONTRAST,
+        shadows: 0.0,
+        colour: look.coating.colour(),
+        exposure: look.exposure.into(),
+        markers_mm: 0.0,
+        mottle: look.coating.mottle(),
+        jpeg: None,
+        blur_px: look.camera.blur_px,
+        vignetting: 0.0,
+        housing: false,
+        distortion: 0.0,
+        snr_db: look.camera.snr_db,
+        window,
+    }
+}
+
+/// Labels of all snaps, or `None` if one is not to be seen.
+fn labels(
+    snaps: &[Placed<Snap>],
+    found: &[Option<Imprint>],
+    camera: &Camera,
+    window: PixelBox,
+) -> Option<Vec<Label>> {
+    snaps
+        .iter()
+        .zip(found)
+        .map(|(snap, imprint)| label(snap, (*imprint)?, camera, window))
+        .collect()
+}
+
+fn label(
+    snap: &Placed<Snap>,
+    imprint: Imprint,
+    camera: &Camera,
+    window: PixelBox,
+) -> Option<Label> {
     let [x0, y0, x1, y1] = imprint.pixel_box;
-    if (x1 - x0).max(y1 - y0) < LEAST_IMPRINT_PX {
+    if (x1 - x0).max(y1 - y0) < LEAST_IMPRINT_MM / camera.frame.mm_per_pixel {
         return None;
     }
-    let middle = PICTURE_PX as f64 / 2.0;
+    let visible = visible_share(snap, camera, window);
+    let (hook, stud) = match &snap.part {
+        Snap::Hook(hook) => (Some(hook), None),
+        Snap::Stud(stud) => (None, Some(stud)),
+    };
     Some(Label {
         kind: snap.part.kind(),
         pixel_box: imprint.pixel_box,
         area_px: imprint.area_px,
-        yaw_deg: snap.yaw.to_degrees(),
+        yaw_deg: hook.map(|_| snap.yaw.to_degrees()),
         depth_mm: snap.depth_mm,
-        center_mm: [(0.5 * (x0 + x1) - middle) * MM_PER_PX, (0.5 * (y0 + y1) - middle) * MM_PER_PX],
+        center_mm: camera.frame.to_mm([0.5 * (x0 + x1), 0.5 * (y0 + y1)]),
+        whole: visible == 1.0,
+        visible,
+        slots: stud.map(|stud| stud.slots),
+        hole_mm: stud.map(|stud| stud.hole_mm()),
+        wall: hook.is_some_and(|hook| hook.wall),
+        on_side: hook.is_some_and(|hook| hook.on_side.is_some()),
     })
 }

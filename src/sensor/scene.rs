@@ -3,11 +3,14 @@
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::GEL_MM;
 use super::contact::NO_BODY;
 use super::distractors::Distractor;
+use super::frame::Frame;
 use super::gel::Grid;
 use super::snaps::{Kind, Snap};
+
+/// Side of the paper's gel in millimetres: plain scenes lie on it.
+const GEL_MM: f64 = Frame::PAPER.width as f64 * Frame::PAPER.mm_per_pixel;
 
 /// Least free space between two parts, in millimetres.
 const CLEARANCE_MM: f64 = 0.8;
@@ -39,14 +42,17 @@ impl<T> Placed<T> {
         [cos * dx + sin * dy, -sin * dx + cos * dy]
     }
 
-    fn penetration(&self, x: f64, y: f64, height: impl Fn(&T, f64, f64) -> f64) -> f64 {
+    /// How far the part reaches below the undeformed gel at a point, in millimetres.
+    pub(super) fn penetration(&self, x: f64, y: f64, height: impl Fn(&T, f64, f64) -> f64) -> f64 {
         let [u, v] = self.local(x, y);
         self.depth_mm + height(&self.part, u, v) + self.tilt[0] * u + self.tilt[1] * v
     }
 }
 
 /// Which snaps a scene may hold.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[derive(
+    Debug, Clone, Copy, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize,
+)]
 #[serde(rename_all = "lowercase")]
 pub enum Mix {
     /// Hooks only, at least one.
@@ -54,6 +60,7 @@ pub enum Mix {
     /// Studs only, at least one.
     B,
     /// Both kinds, or none.
+    #[default]
     Mixed,
     /// No snaps: other things, balls among them, or an untouched gel.
     None,
@@ -78,7 +85,7 @@ pub struct Body {
 }
 
 impl Scene {
-    /// Draws a scene.
+    /// Draws a plain scene.
     pub fn sample(seed: u64, mix: Mix) -> Self {
         let rng = &mut Pcg64::seed_from_u64(seed);
         let mut scene = Self { snaps: Vec::new(), distractors: Vec::new() };
@@ -180,18 +187,19 @@ impl Scene {
         }
     }
 
-    /// The scene as one rigid body: at each cell the part that reaches deepest.
-    pub fn body(&self, grid: Grid) -> Body {
+    /// The scene as one rigid body: at each cell the part that reaches deepest. The gel ends at
+    /// half of `gel_mm` along x and y.
+    pub fn body(&self, grid: Grid, gel_mm: [f64; 2]) -> Body {
         let mut body =
             Body { penetration: vec![NO_BODY; grid.len()], owner: vec![u8::MAX; grid.len()] };
         for (i, snap) in self.snaps.iter().enumerate() {
             let reach = snap.part.reach();
-            body.add(grid, snap, i as u8, Some(reach), Snap::height);
+            body.add(grid, gel_mm, snap, i as u8, Some(reach), Snap::height);
         }
         for (i, part) in self.distractors.iter().enumerate() {
             let reach = part.part.half_size().map(|[a, b]| a.hypot(b));
             let owner = (self.snaps.len() + i) as u8;
-            body.add(grid, part, owner, reach, Distractor::height);
+            body.add(grid, gel_mm, part, owner, reach, Distractor::height);
         }
         body
     }
@@ -201,14 +209,15 @@ impl Body {
     fn add<T>(
         &mut self,
         grid: Grid,
+        gel_mm: [f64; 2],
         placed: &Placed<T>,
         owner: u8,
         reach: Option<f64>,
         height: impl Fn(&T, f64, f64) -> f64,
     ) {
         let n = grid.cells;
-        let edge = GEL_MM / 2.0;
-        let range = |center: f64| {
+        let range = |axis: usize| {
+            let (center, edge) = (placed.center_mm[axis], gel_mm[axis] / 2.0);
             let (low, high) = match reach {
                 Some(r) => ((center - r - 1.0).max(-edge), (center + r + 1.0).min(edge)),
                 None => (-edge, edge),
@@ -217,8 +226,8 @@ impl Body {
             let high = (grid.index(high).floor().max(-1.0) + 1.0) as usize;
             low..high.min(n)
         };
-        for row in range(placed.center_mm[1]) {
-            for column in range(placed.center_mm[0]) {
+        for row in range(1) {
+            for column in range(0) {
                 let (x, y) = (grid.position(column), grid.position(row));
                 let d = placed.penetration(x, y, &height) as f32;
                 let i = row * n + column;
@@ -231,12 +240,12 @@ impl Body {
     }
 }
 
-fn sample_yaw(rng: &mut Pcg64) -> f64 {
+pub(super) fn sample_yaw(rng: &mut Pcg64) -> f64 {
     rng.random_range(-std::f64::consts::PI..std::f64::consts::PI)
 }
 
 /// Slopes along x and y of a plane tilted by at most `degrees`, mostly less.
-fn sample_tilt(rng: &mut Pcg64, degrees: f64) -> [f64; 2] {
+pub(super) fn sample_tilt(rng: &mut Pcg64, degrees: f64) -> [f64; 2] {
     let slope = (degrees * rng.random_range(0.0..1.0)).to_radians().tan();
     let angle = rng.random_range(0.0..std::f64::consts::TAU);
     [slope * f64::cos(angle), slope * f64::sin(angle)]

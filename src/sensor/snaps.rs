@@ -4,11 +4,16 @@
 //! distribution, 20 to 49 mm²: a hook of 6–10 × 3–5 mm, a stud of 5–8 mm diameter. Some studs
 //! are ovalised to the same area, so that proportions overlap too, and a turned hook's box is as
 //! square as a stud's. A hook of which only the barb touches is small; such are few.
+//!
+//! [`Snap::sample_wide`] draws from wider ranges, 14 to 60 mm² for both kinds: other proportions
+//! and barbs, hooks that lie on their side so that their profile presses, studs of 2, 3, 4 and 6
+//! slots, with thin and thick walls and small holes.
 
 use rand::RngExt;
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
+use super::conditions::Forced;
 use super::profile::{rectangle, rounded_edge, smooth_min};
 
 /// A kind of snap joint.
@@ -38,6 +43,19 @@ impl Kind {
     }
 }
 
+/// The shape of a hook's barb.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Barb {
+    /// A steep retention face, a land, and a lead-in that falls to the tip.
+    Ramp,
+    /// A block.
+    Square,
+    /// A half round across the arm.
+    Round,
+    /// A lead-in on both sides; the angle of the retention face, in radians.
+    TwoRamps(f64),
+}
+
 /// Kind A: an arm with a barb at its tip, seen from the barb's side. Lengths in millimetres.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Hook {
@@ -59,6 +77,22 @@ pub struct Hook {
     pub fillet: f64,
     /// Radius of the arm's corners.
     pub corner: f64,
+    /// Shape of the barb.
+    pub barb: Barb,
+    /// Whether the hook lies on its side: its profile presses, arm and barb at one height. The
+    /// barb then stands towards y, or against it.
+    pub on_side: Option<Side>,
+    /// Whether the wall or plate that it grows from presses too. That is a part of its own.
+    pub wall: bool,
+}
+
+/// Where the barb of a hook on its side stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Side {
+    /// Towards y.
+    Left,
+    /// Against y.
+    Right,
 }
 
 impl Hook {
@@ -75,16 +109,60 @@ impl Hook {
             lead_in: rng.random_range(25f64..35.0).to_radians(),
             fillet: rng.random_range(0.1..0.25),
             corner: rng.random_range(0.15..0.5),
+            barb: Barb::Ramp,
+            on_side: None,
+            wall: false,
+        }
+    }
+
+    fn sample_wide(rng: &mut Pcg64, area: f64, on_side: bool, wall: bool) -> Self {
+        let length = rng.random_range((area / 6.0f64).max(5.0)..=(area / 2.5).clamp(5.1, 12.0));
+        let barb = match rng.random_range(0..10) {
+            0..5 => Barb::Ramp,
+            5..7 => Barb::Square,
+            7 => Barb::Round,
+            _ => Barb::TwoRamps(rng.random_range(35f64..65.0).to_radians()),
+        };
+        let side = if rng.random_bool(0.5) { Side::Left } else { Side::Right };
+        Self {
+            length,
+            width: (area / length).clamp(2.5, 6.0),
+            taper: if rng.random_bool(0.4) { rng.random_range(1.0..1.4) } else { 1.0 },
+            thickness: rng.random_range(1.0..1.8),
+            undercut: rng.random_range(0.45..1.1),
+            land: rng.random_range(0.2..1.2),
+            lead_in: rng.random_range(22f64..50.0).to_radians(),
+            fillet: rng.random_range(0.05..0.3),
+            corner: rng.random_range(0.1..0.8),
+            barb,
+            on_side: on_side.then_some(side),
+            wall,
         }
     }
 
     /// Place along x of the barb's retention face, the arm's middle being 0.
     fn face(&self) -> f64 {
+        match self.barb {
+            Barb::Ramp => {}
+            // A quarter of the arm at most, or the hook is a tab of two steps.
+            Barb::Square => return self.length / 2.0 - (0.7 + self.land).min(0.25 * self.length),
+            Barb::Round => return self.length / 2.0 - 0.3 - 2.0 * self.undercut,
+            Barb::TwoRamps(_) => {
+                let run = self.undercut / self.lead_in.tan();
+                return self.length / 2.0 - 0.3 - run - self.land;
+            }
+        }
         let drop = self.undercut + 0.35 * self.thickness;
         self.length / 2.0 - drop / self.lead_in.tan() - self.land
     }
 
     fn height(&self, x: f64, y: f64) -> f64 {
+        if let Some(side) = self.on_side {
+            return rounded_edge(
+                self.profile(x, if side == Side::Left { y } else { -y }),
+                self.fillet,
+            );
+        }
         let half = self.length / 2.0;
         // From 0 at the barb's tip to 1 at the root.
         let along = ((half - x) / self.length).clamp(0.0, 1.0);
@@ -93,9 +171,54 @@ impl Hook {
         let face = self.face();
         let land_end = face + self.land;
         let slope = (land_end - x) * self.lead_in.tan();
+        let edge = rounded_edge(outline, self.fillet);
+        match self.barb {
+            Barb::Ramp => {}
+            Barb::Square => return rounded_edge(x - face, self.fillet).max(-self.undercut) + edge,
+            Barb::Round => {
+                let from = (x - face - self.undercut) / self.undercut;
+                let bow = (1.0 - from * from).max(0.0).sqrt() - 1.0;
+                return self.undercut * bow + edge;
+            }
+            Barb::TwoRamps(angle) => {
+                let top = smooth_min((x - face) * angle.tan(), slope, 0.12);
+                return smooth_min(0.0, top, 0.12).max(-self.undercut) + edge;
+            }
+        }
         let barb = smooth_min(0.0, slope, 0.12) + rounded_edge(x - face, self.fillet);
         let arm = smooth_min(-self.undercut, slope, 0.12);
-        barb.max(arm) + rounded_edge(outline, self.fillet)
+        barb.max(arm) + edge
+    }
+
+    /// Size along y of the hook's profile.
+    fn profile_height(&self) -> f64 {
+        self.thickness + self.undercut
+    }
+
+    /// Distance inside the profile of a hook on its side.
+    fn profile(&self, x: f64, y: f64) -> f64 {
+        let (half, high) = (self.length / 2.0, self.profile_height() / 2.0);
+        let arm_top = self.thickness - high;
+        let arm = rectangle(x, y + high - self.thickness / 2.0, [half, self.thickness / 2.0], 0.1);
+        let face = self.face();
+        let retention = match self.barb {
+            Barb::TwoRamps(angle) => (x - face) * angle.sin() - (y - arm_top) * angle.cos(),
+            _ => x - face,
+        };
+        let lead = match self.barb {
+            Barb::Square => half - x,
+            Barb::Round => {
+                let middle = face + self.undercut;
+                return arm.max(self.undercut - (x - middle).hypot(y - arm_top));
+            }
+            _ => {
+                let (sin, cos) = self.lead_in.sin_cos();
+                (face + self.land - x) * sin + (high - y) * cos
+            }
+        };
+        // The lead-in also cuts the arm's tip, as far as it reaches.
+        let barb = retention.min(high - y).min(lead).min(y - arm_top + self.thickness / 2.0);
+        arm.min(lead.max(arm_top - y)).max(barb.min(half - x))
     }
 }
 
@@ -138,7 +261,55 @@ impl Stud {
         }
     }
 
-    fn height(&self, x: f64, y: f64) -> f64 {
+    fn sample_wide(rng: &mut Pcg64, area: f64, slots: Option<u32>, hole: Option<f64>) -> Self {
+        let oval = if rng.random_bool(0.5) { rng.random_range(1.0..1.5) } else { 1.0 };
+        let diameter = (4.0 / std::f64::consts::PI * area * oval).sqrt();
+        let bead = rng.random_range(0.2..0.5);
+        // Across the oval, where the hole is narrowest.
+        let narrow = diameter / oval;
+        let wall = match hole {
+            None if rng.random_bool(0.6) => rng.random_range(0.4..1.4),
+            None => (narrow - rng.random_range(1.0..2.5)) / 2.0 - bead,
+            Some(hole) => (narrow - hole) / 2.0 - bead,
+        };
+        let wall = wall.clamp(0.3, (narrow / 2.0 - bead - 0.5).max(0.3));
+        let slots = slots.unwrap_or_else(|| match rng.random_range(0..10) {
+            0..3 => 2,
+            3..5 => 3,
+            5..8 => 4,
+            _ => 6,
+        });
+        // Slots leave two thirds of the ring's circumference, and are narrower than the hole: a
+        // disc with a slot across is a screw.
+        let hole = narrow - 2.0 * (wall + bead);
+        let most = (narrow * std::f64::consts::PI / (3.0 * f64::from(slots))).min(0.5 * hole);
+        let most = most.clamp(0.45, 1.3);
+        Self {
+            diameter,
+            oval,
+            bead,
+            wall,
+            lead_in: rng.random_range(20f64..50.0).to_radians(),
+            slots,
+            slot_width: rng.random_range(0.4..most),
+            slot_phase: rng.random_range(0.0..std::f64::consts::TAU),
+            fillet: rng.random_range(0.05..0.2),
+        }
+    }
+
+    /// The same ring without slots.
+    pub fn unslotted(rng: &mut Pcg64) -> Self {
+        let area = rng.random_range(14.0..60.0);
+        Self { slots: 0, ..Self::sample_wide(rng, area, Some(2), None) }
+    }
+
+    /// Diameter of the hole where it is narrowest.
+    pub fn hole_mm(&self) -> f64 {
+        (self.diameter / self.oval - 2.0 * (self.wall + self.bead)).max(0.0)
+    }
+
+    /// Height in millimetres; 0 at the highest point, falling steeply outside the part.
+    pub fn height(&self, x: f64, y: f64) -> f64 {
         let radius = self.diameter / 2.0;
         // Distance to the oval by its implicit function over the function's gradient.
         let v = y * self.oval;
@@ -184,6 +355,58 @@ impl Snap {
         }
     }
 
+    /// Draws a snap of this kind for a wide picture. The footprint's area is drawn evenly over its
+    /// logarithm in 14 to 60 mm², whatever the kind; a hook on its side is slimmer.
+    pub fn sample_wide(rng: &mut Pcg64, kind: Kind, forced: &Forced) -> Self {
+        let area = rng.random_range(14f64.ln()..60f64.ln()).exp();
+        let on_side = rng.random_bool(0.12) && !forced.mild;
+        let wall = rng.random_bool(0.4) && !forced.mild;
+        match kind {
+            Kind::A => Self::Hook(Hook::sample_wide(
+                rng,
+                area,
+                forced.side.unwrap_or(on_side),
+                forced.wall.unwrap_or(wall),
+            )),
+            Kind::B => {
+                let slots = forced.slots.map(|span| span.sample(rng).round() as u32);
+                let hole = forced.hole.map(|span| span.sample(rng));
+                Self::Stud(Stud::sample_wide(rng, area, slots, hole))
+            }
+        }
+    }
+
+    /// Draws how deep the highest point of a wide picture's snap goes into the gel, in
+    /// millimetres. A quarter are faint, 0.3 to 0.8 mm; the arms of most faint hooks graze the gel,
+    /// for which their barbs are made low enough.
+    pub fn sample_wide_depth(&mut self, rng: &mut Pcg64) -> f64 {
+        let faint = rng.random_bool(0.25);
+        let low = rng.random_range(0.3..0.8);
+        let grazing = rng.random_bool(0.75);
+        match self {
+            Self::Hook(Hook { on_side: None, undercut, .. }) if faint => {
+                if grazing {
+                    *undercut = undercut.min(low - rng.random_range(0.05..0.15));
+                }
+                low
+            }
+            _ if faint => low,
+            Self::Hook(Hook { on_side: None, undercut, .. }) => {
+                *undercut + rng.random_range(0.2..0.9)
+            }
+            _ => rng.random_range(0.5..1.5),
+        }
+    }
+
+    /// Half the part's size along its own x and y.
+    pub fn half_size(&self) -> [f64; 2] {
+        match self {
+            Self::Hook(h) if h.on_side.is_some() => [h.length / 2.0, h.profile_height() / 2.0],
+            Self::Hook(h) => [h.length / 2.0, h.width * h.taper / 2.0],
+            Self::Stud(s) => [s.diameter / 2.0, s.diameter / s.oval / 2.0],
+        }
+    }
+
     /// Draws how deep the highest point goes into the gel, in millimetres.
     pub fn sample_depth(&self, rng: &mut Pcg64) -> f64 {
         match self {
@@ -213,7 +436,10 @@ impl Snap {
     /// Radius of a circle round the origin that holds the part, in millimetres.
     pub fn reach(&self) -> f64 {
         match self {
-            Self::Hook(h) => (h.length / 2.0).hypot(h.width * h.taper / 2.0),
+            Self::Hook(_) => {
+                let [x, y] = self.half_size();
+                x.hypot(y)
+            }
             Self::Stud(s) => s.diameter / 2.0,
         }
     }

@@ -30,7 +30,7 @@ fn refuses_what_does_not_fit() {
     assert!(message.contains("`probabilities`") && message.contains("2 classes"), "{message}");
     let zero = DecodeDetections { weights: [10.0, 10.0, 0.0, 5.0], ..op };
     let message = text(zero, specs(5, 12, 3));
-    assert!(message.contains("`weights`") && message.contains("above 0"), "{message}");
+    assert!(message.contains("`weights`: expected numbers from 0.001 to 1000"), "{message}");
     let message = text(op, specs(5, 132, 33));
     assert!(message.contains("needs 33, but only 32"), "{message}");
 }

@@ -30,15 +30,10 @@ def main() -> None:
     for folder in args.data:
         start = time.monotonic()
         truths, detections = detect_folder(model, folder, args.limit, device)
-        rows = result[str(folder)] = figures(truths, detections, model.config.mm_per_pixel, args.conf)
+        rows = result[str(folder)] = figures(truths, detections, args.conf)
         print(f"{folder}: {len(truths)} pictures in {time.monotonic() - start:.0f} s, conf {args.conf}")
-        print("class  count  mean IoU    AP50  AP50:95  centre median  95th pct (mm)")
         for name, row in rows.items():
-            print(
-                f"{name:5} {row['count']:6} {row['iou']:9.4f} {row['ap50']:7.4f} {row['ap50_95']:8.4f}"
-                f" {row['centre_median_mm']:14.4f} {row['centre_p95_mm']:9.4f}"
-            )
-        print(f"false detections a picture: {rows['all']['false_per_picture']:.3f}", flush=True)
+            print(f"{name}: " + ", ".join(f"{k} {v:.4f}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()), flush=True)
     if args.json:
         args.json.write_text(json.dumps(result, indent=1))
 

@@ -9,7 +9,9 @@ import torch
 from torch import nn
 
 import weightfile
-from model import Config, SmrNet, Variant
+from data import Chunk
+from model import NETWORKS, Config, SmrNet, Variant
+from train import recompute_statistics
 
 
 def random_model(config: Config, seed: int) -> SmrNet:
@@ -22,7 +24,7 @@ def random_model(config: Config, seed: int) -> SmrNet:
             m.momentum = None
     model.train()
     with torch.no_grad():
-        model.features(torch.randn(4, 3, config.input_size, config.input_size).contiguous(memory_format=torch.channels_last), {})
+        model.features(torch.randn(4, 3, 320, 320).contiguous(memory_format=torch.channels_last), {})
         # Spread the scores, so that proposals and detections are not all alike.
         model.rpn.cls.weight.mul_(20)
         model.roi_head.cls_score.weight.mul_(20)
@@ -35,7 +37,8 @@ def main() -> None:
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--checkpoint", type=Path)
     source.add_argument("--random", type=int, metavar="SEED", help="no training: random weights from this seed")
-    parser.add_argument("--size", type=int, default=320, help="of a random network")
+    parser.add_argument("--network", choices=NETWORKS, default="large", help="of random weights")
+    parser.add_argument("--statistics", nargs="+", type=Path, default=[], help="COCO folders: batch norm statistics from 400 of their pictures, for a run that has not ended")
     parser.add_argument("--no-safe", action="store_true")
     parser.add_argument("--no-msff", action="store_true")
     parser.add_argument("--no-rw", action="store_true")
@@ -45,10 +48,13 @@ def main() -> None:
         state = torch.load(args.checkpoint, map_location="cpu", weights_only=True)
         model = SmrNet(Config.from_dict(json.loads(state["config"])))
         model.load_state_dict(state["ema"])
+        if args.statistics:
+            chunks = [Chunk(folder, model.config.pixels_per_mm, args.checkpoint.parent / "cache") for folder in args.statistics]
+            recompute_statistics(model.to(memory_format=torch.channels_last), chunks, 400, 1)
         print(f"step {state['step']}, {state['seen']} pictures seen, {state['seconds'] / 60:.1f} min")
     else:
         variant = Variant(safe=not args.no_safe, msff=not args.no_msff, rw=not args.no_rw)
-        model = random_model(Config(input_size=args.size, variant=variant), args.random)
+        model = random_model(Config(**NETWORKS[args.network], variant=variant, pose=True), args.random)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     weightfile.save(model, args.out)
     digest = hashlib.sha256(args.out.read_bytes()).hexdigest()

@@ -14,21 +14,20 @@ import torch
 from safetensors.torch import save_file
 
 import weightfile
-from data import load_picture, normalise
+from data import normalise, read_picture, resize_square
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--weights", type=Path, required=True)
     parser.add_argument("--picture", type=Path, required=True)
-    parser.add_argument("--size", type=int, help="resize to this many pixels, a multiple of 32; the file's input size by default")
+    parser.add_argument("--size", type=int, default=320, help="resize to this many pixels, a multiple of 32")
     parser.add_argument("--pooled", type=int, default=4, help="how many proposals of roi_head.pool to keep")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
     model = weightfile.load(args.weights, torch.float64)
     config = model.config
-    size = args.size or config.input_size
-    pixels, scale, corner = load_picture(args.picture, size, torch.float64)
+    pixels, scale, corner = resize_square(read_picture(args.picture), args.size, torch.float64)
     stages: dict[str, torch.Tensor] = {}
     image = normalise(pixels, config.mean, config.std)[None].contiguous(memory_format=torch.channels_last)
     detections = model.detect(image, stages)[0]
@@ -42,7 +41,7 @@ def main() -> None:
         tensor = tensor[0] if tensor.ndim == 4 and name != "roi_head.pool" or name == "reweight.weights" else tensor
         stored[name] = tensor.to(torch.float32 if tensor.is_floating_point() else torch.int32).contiguous().clone()
     args.out.parent.mkdir(parents=True, exist_ok=True)
-    meta = {"picture": args.picture.name, "size": size, "picture_pixels_a_pixel": scale, "corner": corner}
+    meta = {"picture": args.picture.name, "size": args.size, "picture_pixels_a_pixel": scale, "corner": corner}
     save_file(stored, args.out, metadata={"fixture": json.dumps(meta)})
     args.out.chmod(0o644)
     for name, tensor in stored.items():

@@ -1,8 +1,10 @@
-"""Torchvision's Faster R-CNN losses, with boxes to ignore.
+"""Torchvision's Faster R-CNN losses, with boxes to ignore, and those of pose.py.
 
 A crop cuts some snaps in two. They are neither targets nor background: anchors
 and proposals that lie on them are left out.
 """
+
+from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
@@ -10,7 +12,8 @@ from torch import Tensor
 from torchvision import ops
 
 import boxes as bx
-from model import SmrNet, propose
+import pose
+from model import Heads, SmrNet, propose
 
 ROIS = 64  # a picture, a quarter of them positive
 ANCHORS = 256  # a picture, half of them positive
@@ -65,37 +68,73 @@ def rpn_loss(logits: Tensor, deltas: Tensor, anchors: Tensor, targets: list[dict
     return objectness, F.smooth_l1_loss(torch.cat(predicted), torch.cat(wanted), beta=1 / 9, reduction="sum") / total
 
 
+@dataclass
+class Rois:
+    """Sampled regions of one picture; what they should be found to be, meaningless where the label is 0."""
+
+    boxes: Tensor  # [R, 4]
+    labels: Tensor  # [R], 0 is background
+    truth: Tensor  # [R, 4]
+    yaw: Tensor  # [R], radians, NaN where there is no direction
+    whole: Tensor  # [R], 0 or 1
+    proposed: Tensor  # [R], from the RPN; the others are the truth itself
+
+
 @torch.no_grad()
-def sample_rois(proposals: Tensor, target: dict) -> tuple[Tensor, Tensor, Tensor]:
-    """RoIs [R, 4] from the proposals and the truth, their classes [R] and their truth boxes [R, 4]."""
+def sample_rois(proposals: Tensor, target: dict) -> Rois:
+    """From the proposals and the truth, a quarter of them positive."""
     truth = target["boxes"]
     rois = torch.cat([proposals, truth])
     if not len(truth):
-        free = torch.where(~_on_ignored(rois, target["ignored"]))[0][:ROIS]
-        rois = rois[free]
-        return rois, torch.zeros(len(rois), dtype=torch.long, device=rois.device), rois
+        rois = rois[torch.where(~_on_ignored(rois, target["ignored"]))[0][:ROIS]]
+        zeros = rois.new_zeros(len(rois))
+        return Rois(rois, zeros.long(), rois, zeros, zeros, zeros == 0)
     best, which = ops.box_iou(rois, truth).max(dim=1)
     positive = best >= 0.5
     negative = ~positive & ~_on_ignored(rois, target["ignored"])
     p, n = _sample(positive, negative, ROIS, 0.25)
     picked = torch.cat([p, n])
-    labels = target["labels"][which[picked]].clone()
+    which = which[picked]
+    labels = target["labels"][which].clone()
     labels[len(p) :] = 0
-    return rois[picked], labels, truth[which[picked]]
+    return Rois(rois[picked], labels, truth[which], target["yaw"][which], target["whole"][which], picked < len(proposals))
 
 
-def roi_loss(scores: Tensor, regression: Tensor, rois: Tensor, labels: Tensor, truth: Tensor) -> tuple[Tensor, Tensor]:
-    classification = F.cross_entropy(scores, labels)
-    positive = torch.where(labels > 0)[0]
+def roi_loss(heads: Heads, rois: Rois) -> tuple[Tensor, Tensor]:
+    classification = F.cross_entropy(heads.scores, rois.labels)
+    positive = torch.where(rois.labels > 0)[0]
     if not len(positive):
-        return classification, regression.sum() * 0
-    regression = regression.view(len(scores), -1, 4)[positive, labels[positive]]
-    wanted = bx.encode(truth[positive], rois[positive], bx.ROI_WEIGHTS)
-    return classification, F.smooth_l1_loss(regression, wanted, beta=1 / 9, reduction="sum") / len(labels)
+        return classification, heads.regression.sum() * 0
+    regression = heads.regression.view(len(rois.labels), -1, 4)[positive, rois.labels[positive]]
+    wanted = bx.encode(rois.truth[positive], rois.boxes[positive], bx.ROI_WEIGHTS)
+    return classification, F.smooth_l1_loss(regression, wanted, beta=1 / 9, reduction="sum") / len(rois.labels)
 
 
-def detection_losses(model: SmrNet, images: Tensor, targets: list[dict]) -> dict[str, Tensor]:
-    """The four losses of a batch; the network in bfloat16 where the device gains by it, the losses in float32."""
+def pose_losses(heads: Heads, rois: Rois, pixels_per_mm: float) -> dict[str, Tensor]:
+    """Of the positive regions; the centre's deviations learn from proposals alone, as there are no others in use."""
+    none = heads.pose.sum() * 0
+    losses = {"yaw": none, "centre": none, "whole": none}
+    positive = rois.labels > 0
+    if positive.any():
+        losses["whole"] = pose.whole_loss(heads.pose[positive], rois.whole[positive])
+    directed = positive & rois.yaw.isfinite()
+    if directed.any():
+        losses["yaw"] = pose.yaw_loss(heads.pose[directed], rois.yaw[directed])
+    found = torch.where(positive & rois.proposed)[0]
+    if len(found):
+        regression = heads.regression.view(len(rois.labels), -1, 4)[found, rois.labels[found]]
+        boxes = bx.decode(regression.detach(), rois.boxes[found], bx.ROI_WEIGHTS)
+        error = (boxes[:, :2] + boxes[:, 2:] - rois.truth[found, :2] - rois.truth[found, 2:]) / 2
+        losses["centre"] = pose.centre_loss(heads.pose[found], error / pixels_per_mm)
+    return losses
+
+
+# In the sum; the box and class losses weigh 1. A likelihood's gradient grows as its deviation shrinks.
+WEIGHTS = {"yaw": 0.3, "centre": 0.03, "whole": 0.1}
+
+
+def detection_losses(model: SmrNet, images: Tensor, targets: list[dict], distiller=None) -> dict[str, Tensor]:
+    """The weighted losses of a batch; the network in bfloat16 where the device gains by it, the losses in float32."""
     stages: dict = {}
     with torch.autocast(images.device.type, dtype=torch.bfloat16):
         fused = model.features(images, stages)
@@ -107,9 +146,15 @@ def detection_losses(model: SmrNet, images: Tensor, targets: list[dict]) -> dict
         sample_rois(propose(l.detach(), d.detach(), anchors, size, 300, 100)[0], t)
         for l, d, t in zip(logits, deltas, targets)
     ]
-    rois, labels, truth = zip(*sampled)
+    boxes = [r.boxes for r in sampled]
+    rois = Rois(*(torch.cat([getattr(r, name) for r in sampled]) for name in Rois.__dataclass_fields__))
     with torch.autocast(images.device.type, dtype=torch.bfloat16):
-        pooled = bx.roi_align_dense(fused, rois, 1 / model.config.stride)
-        scores, regression = model.roi_head(pooled, stages)
-    classification, roi_box = roi_loss(scores.float(), regression.float(), torch.cat(rois), torch.cat(labels), torch.cat(truth))
-    return {"objectness": objectness, "rpn_box": rpn_box, "class": classification, "roi_box": roi_box}
+        heads = model.roi_head(bx.roi_align_dense(fused, boxes, 1 / model.config.stride), stages)
+    heads = Heads(heads.scores.float(), heads.regression.float(), None if heads.pose is None else heads.pose.float())
+    classification, roi_box = roi_loss(heads, rois)
+    losses = {"objectness": objectness, "rpn_box": rpn_box, "class": classification, "roi_box": roi_box}
+    if heads.pose is not None:
+        losses |= pose_losses(heads, rois, model.config.pixels_per_mm)
+    if distiller is not None:
+        losses |= distiller.losses(images, fused, boxes, heads)
+    return {k: WEIGHTS.get(k, 1.0) * v for k, v in losses.items()}

@@ -11,25 +11,69 @@ from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 from torchvision.ops import box_iou
 
-from data import CLASSES, load_picture, normalise, picture_path, read_coco
+from data import CLASSES, network_input, normalise, picture_path, read_coco, read_picture
 from model import SmrNet
 
 
 @torch.no_grad()
 def detect_folder(model: SmrNet, folder: Path, limit: int | None = None, device: str = "cpu") -> tuple[list, list]:
-    """Truth and detections of each picture, in picture pixels; detections down to a score of 0.05."""
+    """Truth and detections of each picture, in frame pixels; detections down to a score of 0.05."""
     config = model.config
     truths, detections = [], []
-    for name, found in read_coco(folder)[:limit]:
-        pixels, scale, (left, top) = load_picture(picture_path(folder, name), config.input_size)
+    for entry in read_coco(folder)[:limit]:
+        frame = read_picture(picture_path(folder, entry.name))
+        pixels, (x, y) = network_input(frame, config.pixels_per_mm * entry.mm_per_pixel)
         image = normalise(pixels, config.mean, config.std)[None].to(device, memory_format=torch.channels_last)
         result = {k: v.cpu() for k, v in model.detect(image)[0].items()}
-        result["boxes"] = result["boxes"] * scale + torch.tensor([left, top, left, top])
+        result["boxes"] = result["boxes"] * torch.tensor([x, y, x, y])
         detections.append(result)
-        boxes = torch.tensor([b for _, b in found], dtype=torch.float32).view(-1, 4)
-        boxes[:, 2:] += boxes[:, :2]
-        truths.append({"boxes": boxes, "labels": torch.tensor([label for label, _ in found], dtype=torch.long)})
+        snaps = {name: torch.from_numpy(getattr(entry.snaps, name)) for name in ("boxes", "labels", "yaw", "whole")}
+        truths.append({**snaps, "mm_per_pixel": entry.mm_per_pixel, "conditions": entry.conditions})
     return truths, detections
+
+
+def right(truth: dict, detection: dict, overlap: float = 0.5) -> torch.Tensor:
+    """The truth that each detection [K] finds, -1 for none: right class, IoU of at least `overlap`, the best scores first, each truth once."""
+    found = torch.full((len(detection["boxes"]),), -1)
+    if not len(truth["boxes"]):
+        return found
+    iou = box_iou(detection["boxes"], truth["boxes"])
+    iou[detection["labels"][:, None] != truth["labels"][None]] = 0
+    for i in range(len(found)):  # by descending score
+        best, which = iou[i].max(dim=0)
+        if best >= overlap:
+            found[i] = which
+            iou[:, which] = 0
+    return found
+
+
+def calibration_error(scores: np.ndarray, hits: np.ndarray, bins: int = 10) -> float:
+    """Expected calibration error: |mean score - share that is right|, averaged over detections in bins of the score."""
+    if not len(scores):
+        return float("nan")
+    which = np.minimum((scores * bins).astype(int), bins - 1)
+    parts = [(which == b) for b in range(bins)]
+    return float(sum(abs(scores[p].sum() - hits[p].sum()) for p in parts if p.any()) / len(scores))
+
+
+def _pose(truths: list, detections: list, conf: float) -> dict[str, float]:
+    """Of the found whole snaps: yaw's error in degrees, and the share of errors within one stated deviation."""
+    yaw, within, whole = [], {"yaw": [], "x": [], "y": []}, []
+    for t, d in zip(truths, detections):
+        found = right(t, d)
+        for i in torch.where((found >= 0) & (d["scores"] >= conf))[0].tolist():
+            j = int(found[i])
+            whole.append(bool(d["whole"][i] > 0.5) == bool(t["whole"][j]))
+            shift = (d["boxes"][i, :2] + d["boxes"][i, 2:] - t["boxes"][j, :2] - t["boxes"][j, 2:]).abs() / 2 * t["mm_per_pixel"]
+            for axis, name in enumerate("xy"):
+                within[name].append(bool(shift[axis] <= d["centre_std"][i, axis]))
+            if t["whole"][j] and t["yaw"][j].isfinite() and d["yaw"][i].isfinite():
+                turn = (float(d["yaw"][i]) - float(t["yaw"][j].rad2deg()) + 180) % 360 - 180
+                yaw.append(abs(turn))
+                within["yaw"].append(abs(turn) <= float(d["yaw_std"][i]))
+    share = {f"within_{k}": float(np.mean(v)) if v else float("nan") for k, v in within.items()}
+    middle, high = np.percentile(yaw, [50, 95]) if yaw else (float("nan"), float("nan"))
+    return {"yaw_median_deg": float(middle), "yaw_p95_deg": float(high), **share, "whole_right": float(np.mean(whole)) if whole else float("nan")}
 
 
 def _average_precision(truths: list, detections: list) -> COCOeval:
@@ -57,11 +101,12 @@ def _average_precision(truths: list, detections: list) -> COCOeval:
     return evaluation
 
 
-def figures(truths: list, detections: list, mm_per_pixel: float, conf: float) -> dict[str, dict[str, float]]:
+def figures(truths: list, detections: list, conf: float = 0.5) -> dict[str, dict[str, float]]:
     """By class and for both: count, mean best-box IoU (a miss counts 0), AP50, AP50:95, centre error in mm.
 
     The best box is the one of the truth's class with the highest IoU among those
     with a score of at least `conf`; the centre error is over best boxes with IoU of at least 0.5.
+    The row of both has false detections a picture, the calibration error, and the figures of the pose.
     """
     evaluation = _average_precision(truths, detections)
     rows: dict[str, dict[str, float]] = {}
@@ -79,7 +124,7 @@ def figures(truths: list, detections: list, mm_per_pixel: float, conf: float) ->
             best, which = box_iou(wanted, given).max(dim=1)
             overlaps += best.tolist()
             shift = (wanted[:, :2] + wanted[:, 2:] - given[which][:, :2] - given[which][:, 2:]) / 2
-            errors += (shift.norm(dim=1) * mm_per_pixel)[best >= 0.5].tolist()
+            errors += (shift.norm(dim=1) * t["mm_per_pixel"])[best >= 0.5].tolist()
         gathered[label] = overlaps, errors
     false = sum(
         int(((d["scores"] >= conf) & (box_iou(d["boxes"], t["boxes"]).amax(dim=1) < 0.5 if len(t["boxes"]) else d["scores"] >= conf)).sum())
@@ -105,4 +150,26 @@ def figures(truths: list, detections: list, mm_per_pixel: float, conf: float) ->
             "centre_p95_mm": float(np.percentile(errors, 95)) if errors else float("nan"),
         }
     rows["all"]["false_per_picture"] = false / max(1, len(truths))
+    scores = np.concatenate([d["scores"].numpy() for d in detections])
+    hits = np.concatenate([(right(t, d) >= 0).numpy() for t, d in zip(truths, detections)])
+    rows["all"]["calibration_error"] = calibration_error(scores, hits)
+    if detections and "yaw" in detections[0]:
+        rows["all"] |= _pose(truths, detections, conf)
     return rows
+
+
+def line(rows: dict[str, dict[str, float]]) -> str:
+    """`figures` for a log."""
+    parts = [
+        f"{k}: IoU {100 * r['iou']:.2f} AP50 {100 * r['ap50']:.2f} AP50:95 {100 * r['ap50_95']:.2f} centre {r['centre_median_mm']:.3f} mm"
+        for k, r in rows.items()
+    ]
+    every = rows["all"]
+    parts.append(f"false {every['false_per_picture']:.3f} a picture, calibration error {every['calibration_error']:.3f}")
+    if "yaw_median_deg" in every:
+        within = "/".join(f"{100 * every[f'within_{k}']:.0f}" for k in ("yaw", "x", "y"))
+        parts.append(
+            f"yaw {every['yaw_median_deg']:.2f} deg, 95th {every['yaw_p95_deg']:.1f}, within one deviation (yaw/x/y) {within} %,"
+            f" whole or cut right {100 * every['whole_right']:.1f} %"
+        )
+    return "; ".join(parts)

@@ -3,6 +3,7 @@
 A parameter's name here is its tensor's name in the weight file.
 """
 
+import itertools
 from dataclasses import asdict, dataclass, field
 
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor, nn
 from torchvision import ops
 
 import boxes as bx
+import pose
 from gates import PoolChannels, PoolSpace, ScaleChannels, ScaleSpace
 
 
@@ -25,30 +27,64 @@ class Variant:
 
 @dataclass
 class Config:
-    """All that a reader of the weight file must know beside the tensors."""
+    """All that a reader of the weight file must know beside the tensors; README.md has the meaning of each key."""
 
-    input_size: int = 320
+    pixels_per_mm: float = 8.0
     mean: list[float] = field(default_factory=lambda: [0.5, 0.5, 0.5])
     std: list[float] = field(default_factory=lambda: [0.2, 0.2, 0.2])
     classes: list[str] = field(default_factory=lambda: ["A", "B"])
+    directed: list[str] = field(default_factory=lambda: ["A"])
     anchor_sizes: list[float] = field(default_factory=lambda: [32.0, 48.0, 72.0])
     anchor_ratios: list[float] = field(default_factory=lambda: [0.5, 1.0, 2.0])
     variant: Variant = field(default_factory=Variant)
-    mm_per_pixel: float = 0.04
-    picture_size: int = 1000
+    stem: int = 64
+    channels: list[int] = field(default_factory=lambda: [64, 128, 256, 512])
+    blocks: list[int] = field(default_factory=lambda: [3, 4, 6, 3])
     reduction: int = 16
+    fused: int = 256
+    reweight: int = 64
+    head: int = 512
+    pose: bool = False
+    temperature: float = 1.0
 
     @property
     def stride(self) -> int:
         return 8 if self.variant.msff else 16
 
+    @property
+    def width(self) -> int:
+        """Channels of the map that the heads read: without the fusion that is conv4_x."""
+        return self.fused if self.variant.msff else self.channels[2]
+
     def to_dict(self) -> dict:
-        return {"format": 1, **asdict(self), "stride": self.stride}
+        return {"format": 2, **asdict(self), "stride": self.stride}
 
     @staticmethod
     def from_dict(d: dict) -> "Config":
-        d = {k: v for k, v in d.items() if k in Config.__dataclass_fields__}
-        return Config(**{**d, "variant": Variant(**d["variant"])})
+        """Of a file in format 2, or in format 1, whose networks all had the default widths and no pose."""
+        if d["format"] not in (1, 2):
+            raise ValueError(f"format: expected 1 or 2, got {d['format']}")
+        known = {k: v for k, v in d.items() if k in Config.__dataclass_fields__}
+        config = Config(**{**known, "variant": Variant(**d["variant"])})
+        if d["format"] == 1:
+            config.pixels_per_mm = d["input_size"] / (d["mm_per_pixel"] * d["picture_size"])
+        return config
+
+
+# The two networks; what else a configuration holds follows from the data.
+NETWORKS = {
+    "large": {},
+    # Multiples of 16 throughout; one block at stride 4, where a block costs most time, and three at stride 16.
+    "small": {
+        "stem": 16,
+        "channels": [32, 64, 128, 192],
+        "blocks": [1, 2, 3, 2],
+        "reduction": 8,
+        "fused": 96,
+        "reweight": 32,
+        "head": 192,
+    },
+}
 
 
 class ChannelGate(nn.Module):
@@ -110,14 +146,14 @@ class BasicBlock(nn.Module):
 
 
 class Backbone(nn.Module):
-    """SAFE-Net: ResNet-34 with a CBAM after conv1 and after each stage."""
+    """SAFE-Net: a ResNet of basic blocks, ResNet-34 by default, with a CBAM after conv1 and after each stage."""
 
     def __init__(self, config: Config):
         super().__init__()
-        self.conv1 = nn.Conv2d(3, 64, 7, 2, 3, bias=False)
-        self.bn1 = nn.BatchNorm2d(64)
-        inputs = 64
-        for i, (outputs, blocks) in enumerate([(64, 3), (128, 4), (256, 6), (512, 3)], start=1):
+        self.conv1 = nn.Conv2d(3, config.stem, 7, 2, 3, bias=False)
+        self.bn1 = nn.BatchNorm2d(config.stem)
+        inputs = config.stem
+        for i, (outputs, blocks) in enumerate(zip(config.channels, config.blocks, strict=True), start=1):
             if i == 4 and not config.variant.msff:
                 break  # without the fusion nothing reads conv5_x
             stride = 1 if i == 1 else 2
@@ -126,7 +162,7 @@ class Backbone(nn.Module):
             setattr(self, f"layer{i}", nn.Sequential(*stage))
             inputs = outputs
         if config.variant.safe:
-            for i, channels in enumerate([64, 64, 128, 256, 512], start=1):
+            for i, channels in enumerate([config.stem, *config.channels], start=1):
                 if i == 5 and not config.variant.msff:
                     break
                 setattr(self, f"cbam{i}", Cbam(channels, config.reduction))
@@ -150,11 +186,11 @@ class Backbone(nn.Module):
 
 
 class Branch(nn.Module):
-    def __init__(self, channels: int, dilation: int, reduction: int):
+    def __init__(self, inputs: int, outputs: int, dilation: int, reduction: int):
         super().__init__()
-        self.conv = nn.Conv2d(channels, 256, 3, padding=dilation, dilation=dilation, bias=False)
-        self.bn = nn.BatchNorm2d(256)
-        self.cbam = Cbam(256, reduction)
+        self.conv = nn.Conv2d(inputs, outputs, 3, padding=dilation, dilation=dilation, bias=False)
+        self.bn = nn.BatchNorm2d(outputs)
+        self.cbam = Cbam(outputs, reduction)
         nn.init.kaiming_normal_(self.conv.weight, mode="fan_out", nonlinearity="relu")
 
     def forward(self, x: Tensor, size: tuple[int, int]) -> Tensor:
@@ -165,15 +201,14 @@ class Branch(nn.Module):
 
 
 class Fusion(nn.Module):
-    """MSFF-Net: three scales brought to 256 channels and to stride 8."""
+    """MSFF-Net: three scales brought to one number of channels and to stride 8."""
 
     def __init__(self, config: Config):
         super().__init__()
-        self.branch1 = Branch(128, 1, config.reduction)
-        self.branch2 = Branch(256, 2, config.reduction)
-        self.branch3 = Branch(512, 2, config.reduction)
+        for i, (inputs, dilation) in enumerate(zip(config.channels[1:], (1, 2, 2)), start=1):
+            setattr(self, f"branch{i}", Branch(inputs, config.fused, dilation, config.reduction))
         if not config.variant.rw:
-            self.reduce = nn.Conv2d(768, 256, 1)
+            self.reduce = nn.Conv2d(3 * config.fused, config.fused, 1)
 
     def forward(self, stages: dict) -> list[Tensor]:
         size = stages["backbone.cbam3"].shape[2:]
@@ -188,12 +223,12 @@ class Fusion(nn.Module):
 class Reweight(nn.Module):
     """RW-Net: one softmax weight a scale and picture."""
 
-    def __init__(self):
+    def __init__(self, config: Config):
         super().__init__()
         for i in (1, 2, 3):
-            setattr(self, f"reduce{i}", nn.Conv2d(256, 64, 1))
-        self.fc1 = nn.Linear(192, 64)
-        self.fc2 = nn.Linear(64, 3)
+            setattr(self, f"reduce{i}", nn.Conv2d(config.fused, config.reweight, 1))
+        self.fc1 = nn.Linear(3 * config.reweight, config.reweight)
+        self.fc2 = nn.Linear(config.reweight, 3)
 
     def forward(self, maps: list[Tensor]) -> Tensor:
         # A 1x1 convolution commutes with the mean over space, so pool first.
@@ -205,37 +240,53 @@ class Reweight(nn.Module):
 
 
 class Rpn(nn.Module):
-    def __init__(self, anchors: int):
+    def __init__(self, channels: int, anchors: int):
         super().__init__()
-        self.cls = nn.Conv2d(256, anchors, 1)
-        self.bbox = nn.Conv2d(256, 4 * anchors, 1)
+        self.cls = nn.Conv2d(channels, anchors, 1)
+        self.bbox = nn.Conv2d(channels, 4 * anchors, 1)
         for layer in (self.cls, self.bbox):
             nn.init.normal_(layer.weight, std=0.01)
             nn.init.zeros_(layer.bias)
 
 
 class RoiHead(nn.Module):
-    def __init__(self, classes: int):
+    def __init__(self, config: Config):
         super().__init__()
-        self.fc6 = nn.Linear(256 * 7 * 7, 512)
-        self.fc7 = nn.Linear(512, 512)
-        self.cls_score = nn.Linear(512, classes + 1)
-        self.bbox_pred = nn.Linear(512, 4 * (classes + 1))
+        classes, width = len(config.classes) + 1, config.head
+        self.fc6 = nn.Linear(config.width * 7 * 7, width)
+        self.fc7 = nn.Linear(width, width)
+        self.cls_score = nn.Linear(width, classes)
+        self.bbox_pred = nn.Linear(width, 4 * classes)
+        self.pose = nn.Linear(width, pose.OUTPUTS) if config.pose else None
         nn.init.kaiming_normal_(self.fc6.weight, nonlinearity="relu")
         nn.init.kaiming_normal_(self.fc7.weight, nonlinearity="relu")
-        nn.init.zeros_(self.fc6.bias)
-        nn.init.zeros_(self.fc7.bias)
         nn.init.normal_(self.cls_score.weight, std=0.01)
         nn.init.normal_(self.bbox_pred.weight, std=0.001)
-        nn.init.zeros_(self.cls_score.bias)
-        nn.init.zeros_(self.bbox_pred.bias)
+        if self.pose is not None:
+            nn.init.normal_(self.pose.weight, std=0.01)
+        for layer in self.children():
+            nn.init.zeros_(layer.bias)
 
-    def forward(self, pooled: Tensor, stages: dict) -> tuple[Tensor, Tensor]:
+    def forward(self, pooled: Tensor, stages: dict) -> "Heads":
         x = stages["roi_head.fc6"] = F.relu(self.fc6(pooled.flatten(1)))
         x = stages["roi_head.fc7"] = F.relu(self.fc7(x))
         stages["roi_head.cls_score"] = self.cls_score(x)
         stages["roi_head.bbox_pred"] = self.bbox_pred(x)
-        return stages["roi_head.cls_score"], stages["roi_head.bbox_pred"]
+        if self.pose is not None:
+            stages["roi_head.pose"] = self.pose(x)
+        return Heads(stages["roi_head.cls_score"], stages["roi_head.bbox_pred"], stages.get("roi_head.pose"))
+
+
+@dataclass
+class Heads:
+    """What the RoI head says of each region, as it leaves the last layers."""
+
+    scores: Tensor  # [R, classes + 1], logits
+    regression: Tensor  # [R, 4 (classes + 1)]
+    pose: Tensor | None  # [R, pose.OUTPUTS]
+
+    def rows(self, part: slice) -> "Heads":
+        return Heads(self.scores[part], self.regression[part], None if self.pose is None else self.pose[part])
 
 
 class SmrNet(nn.Module):
@@ -246,13 +297,13 @@ class SmrNet(nn.Module):
         if config.variant.msff:
             self.fusion = Fusion(config)
             if config.variant.rw:
-                self.reweight = Reweight()
+                self.reweight = Reweight(config)
         self.cells = bx.cell_anchors(config.anchor_sizes, config.anchor_ratios)
-        self.rpn = Rpn(len(self.cells))
-        self.roi_head = RoiHead(len(config.classes))
+        self.rpn = Rpn(config.width, len(self.cells))
+        self.roi_head = RoiHead(config)
 
     def features(self, images: Tensor, stages: dict) -> Tensor:
-        """The fused map, [B, 256, S/stride, S/stride], of normalised pictures [B, 3, S, S]."""
+        """The fused map, [B, C, H/stride, W/stride], of normalised pictures [B, 3, H, W]."""
         stages["input"] = images
         self.backbone(images, stages)
         if not self.config.variant.msff:
@@ -279,31 +330,29 @@ class SmrNet(nn.Module):
         return logits, deltas, bx.grid_anchors(cells, height, width, self.config.stride)
 
     @torch.no_grad()
-    def detect(self, images: Tensor, stages: dict | None = None, score: float = 0.05, nms: float = 0.5) -> list[dict]:
-        """Detections of each normalised picture: boxes [K, 4] in input pixels, scores [K], labels [K].
-
-        `stages`, if given, receives every stage's tensor; then the batch must be one picture.
-        """
-        stages = {} if stages is None else stages
+    def regions(self, images: Tensor, stages: dict) -> list[tuple[Tensor, Heads]]:
+        """Each normalised picture's proposals [P, 4] and what the head says of them."""
         fused = self.features(images, stages)
         logits, deltas, anchors = self.rpn_heads(fused, stages)
-        size = images.shape[2:]
-        picked = [propose(l, d, anchors, size) for l, d in zip(logits, deltas)]
+        picked = [propose(l, d, anchors, images.shape[2:]) for l, d in zip(logits, deltas)]
         stages["proposals"], stages["proposal_scores"] = picked[0]
         proposals = [p for p, _ in picked]
         pooled = ops.roi_align(fused, proposals, 7, 1 / self.config.stride, sampling_ratio=2, aligned=True)
         stages["roi_head.pool"] = pooled
-        scores, regression = self.roi_head(pooled, stages)
-        result, at = [], 0
-        for p in proposals:
-            part = slice(at, at + len(p))
-            result.append(classify(scores[part], regression[part], p, size, score, nms))
-            at += len(p)
-        stages["detections.boxes"], stages["detections.scores"], stages["detections.labels"] = (
-            result[0]["boxes"],
-            result[0]["scores"],
-            result[0]["labels"],
-        )
+        heads = self.roi_head(pooled, stages)
+        ends = [0, *itertools.accumulate(map(len, proposals))]
+        return [(p, heads.rows(slice(*ends[i : i + 2]))) for i, p in enumerate(proposals)]
+
+    @torch.no_grad()
+    def detect(self, images: Tensor, stages: dict | None = None, score: float = 0.05, nms: float = 0.5) -> list[dict]:
+        """Detections of each normalised picture: boxes [K, 4] in input pixels, scores [K], labels [K] and, with pose heads, `pose.decode`'s.
+
+        `stages`, if given, receives every stage's tensor; then the batch must be one picture.
+        """
+        stages = {} if stages is None else stages
+        size = images.shape[2:]
+        result = [classify(self.config, heads, p, size, score, nms) for p, heads in self.regions(images, stages)]
+        stages.update({f"detections.{name}": tensor for name, tensor in result[0].items()})
         return result
 
 
@@ -320,21 +369,30 @@ def propose(logits: Tensor, deltas: Tensor, anchors: Tensor, size, before: int =
     return proposals[keep], scores[keep]
 
 
-def classify(scores: Tensor, regression: Tensor, proposals: Tensor, size, threshold: float, nms: float) -> dict:
-    """One picture's detections from the head's outputs: per-class boxes, NMS within a class, the best 100."""
-    proposals = proposals.to(scores.dtype)
-    probability = scores.softmax(dim=1)
-    found = bx.decode(regression.view(len(proposals), -1, 4), proposals[:, None], bx.ROI_WEIGHTS)
+def survivors(config: Config, heads: Heads, proposals: Tensor, size, threshold: float, nms: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """One picture's boxes, scores, labels and the regions that they came from: per-class boxes, NMS within a class, the best 100."""
+    proposals = proposals.to(heads.scores.dtype)
+    probability = (heads.scores / config.temperature).softmax(dim=1)
+    found = bx.decode(heads.regression.view(len(proposals), -1, 4), proposals[:, None], bx.ROI_WEIGHTS)
     found = ops.clip_boxes_to_image(found, size)
-    labels = torch.arange(probability.shape[1], device=scores.device).expand_as(probability)
+    labels = torch.arange(probability.shape[1], device=probability.device).expand_as(probability)
+    rows = torch.arange(len(proposals), device=probability.device)[:, None].expand_as(probability)
     # Class 0 is the background.
-    found, probability, labels = found[:, 1:].reshape(-1, 4), probability[:, 1:].flatten(), labels[:, 1:].flatten()
+    found, probability, labels, rows = found[:, 1:].reshape(-1, 4), probability[:, 1:].flatten(), labels[:, 1:].flatten(), rows[:, 1:].flatten()
     keep = torch.where(probability > threshold)[0]
-    found, probability, labels = found[keep], probability[keep], labels[keep]
-    keep = ops.remove_small_boxes(found, 1e-2)
-    found, probability, labels = found[keep], probability[keep], labels[keep]
-    keep = torch.cat([torch.where(labels == c)[0][ops.nms(found[labels == c], probability[labels == c], nms)] for c in labels.unique()]) if len(labels) else labels
+    keep = keep[ops.remove_small_boxes(found[keep], 1e-2)]
+    keep = torch.cat([c[ops.nms(found[c], probability[c], nms)] for c in (keep[labels[keep] == label] for label in labels[keep].unique())] or [keep])
     # Descending score; equal scores keep the order (proposal, class) they came in.
     keep = keep.sort().values
     keep = keep[probability[keep].argsort(descending=True, stable=True)][:100]
-    return {"boxes": found[keep], "scores": probability[keep], "labels": labels[keep]}
+    return found[keep], probability[keep], labels[keep], rows[keep]
+
+
+def classify(config: Config, heads: Heads, proposals: Tensor, size, threshold: float, nms: float) -> dict[str, Tensor]:
+    """One picture's detections from the head's outputs, as `SmrNet.detect` gives them."""
+    boxes, scores, labels, rows = survivors(config, heads, proposals, size, threshold, nms)
+    result = {"boxes": boxes, "scores": scores, "labels": labels}
+    if heads.pose is not None:
+        directed = torch.tensor([False, *(c in config.directed for c in config.classes)], device=labels.device)
+        result |= pose.decode(heads.pose[rows], directed[labels])
+    return result

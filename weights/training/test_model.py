@@ -1,13 +1,29 @@
 """The quick forms used in training against their definitions. `python test_model.py`"""
 
+import json
+import math
+import tempfile
+from pathlib import Path
+
+import numpy as np
 import torch
+from safetensors.torch import load_file, save_file
 from torchvision import ops
 from torchvision.models.detection.anchor_utils import AnchorGenerator
 from torchvision.models.detection._utils import BoxCoder
 from torchvision.models.detection.image_list import ImageList
 
 import boxes as bx
+import pose
+import weightfile
+from count import multiply_adds, stored_bytes
+from data import Snaps, cut, network_input, normalise, orient, read_coco, read_picture, resize_square
+from export import random_model
 from gates import PoolChannels, PoolSpace, ScaleChannels, ScaleSpace
+from metrics import calibration_error, right
+from model import NETWORKS, Config, Heads, SmrNet, classify
+
+ROOT = Path(__file__).parents[2]
 
 
 def same(name: str, got: torch.Tensor, truth: torch.Tensor, bound: float = 1e-10) -> None:
@@ -58,8 +74,198 @@ def anchors_and_coder() -> None:
     same("encode", bx.encode(target, truth, bx.RPN_WEIGHTS), BoxCoder(bx.RPN_WEIGHTS).encode_single(target, truth), 1e-5)
 
 
+def turns() -> None:
+    # A 4 x 2 snap with its box at (10, 20) in a picture of 100 x 60, its barb 30 degrees below +x: right and down.
+    picture = np.zeros((60, 100, 3), np.uint8)
+    picture[21, 13] = 255
+    boxes = np.array([[10, 20, 14, 22]], np.float32)
+    cases = {
+        (False, False, False): ([10, 20, 14, 22], 30, (21, 13)),
+        (True, False, False): ([86, 20, 90, 22], 150, (21, 86)),  # left and down
+        (False, True, False): ([10, 38, 14, 40], -30, (38, 13)),  # right and up
+        (True, True, False): ([86, 38, 90, 40], -150, (38, 86)),  # half a turn
+        (False, False, True): ([20, 10, 22, 14], 60, (13, 21)),  # x for y
+        (True, False, True): ([20, 86, 22, 90], -60, (86, 21)),  # a quarter turn: right becomes up
+        (False, True, True): ([38, 10, 40, 14], 120, (13, 38)),  # the other: right becomes down
+        (True, True, True): ([38, 86, 40, 90], -120, (86, 38)),
+    }
+    for flips, (box, degrees, pixel) in cases.items():
+        snaps = Snaps(boxes, np.array([1]), np.radians(np.array([30], np.float32)), np.array([True]))
+        seen, found = orient(picture, snaps, *flips)
+        assert seen[pixel].tolist() == [255] * 3, flips
+        assert found.boxes.tolist() == [box], flips
+        off = (math.degrees(found.yaw[0]) - degrees + 180) % 360 - 180
+        assert abs(off) < 1e-4, f"{flips}: {off}"
+        # A part without a direction stays without.
+        assert np.isnan(orient(picture, Snaps(boxes, np.array([2]), np.array([np.nan], np.float32), np.array([True])), *flips)[1].yaw).all()
+    print("ok turns: 8")
+
+
+def cuts() -> None:
+    def one(box: list, label: int, degrees: float, *crop: int) -> tuple:
+        snaps = Snaps(np.array([box], np.float32), np.array([label]), np.radians(np.array([degrees], np.float32)), np.array([True]))
+        kept, ignored = cut(snaps, *crop)
+        return kept.boxes.tolist(), kept.whole.tolist(), ignored.tolist()
+
+    inside, window = [30, 40, 50, 60], (10, 10, 100, 100)
+    assert one(inside, 1, 0, *window) == ([[20, 30, 40, 50]], [True], [])
+    # A fifth is lost at the left: a hook that stands upright and a ring are cut, a slanted hook's box is not known.
+    left = [6, 40, 26, 60]
+    assert one(left, 1, 90, *window) == ([[0, 30, 16, 50]], [False], [])
+    assert one(left, 2, math.nan, *window) == ([[0, 30, 16, 50]], [False], [])
+    assert one(left, 1, 45, *window) == ([], [], [[0, 30, 16, 50]])
+    assert one(left, 1, math.nan, *window) == ([], [], [[0, 30, 16, 50]])
+    # Half is lost; all is lost.
+    assert one([0, 40, 20, 60], 2, math.nan, *window) == ([], [], [[0, 30, 10, 50]])
+    assert one([0, 40, 9, 60], 2, math.nan, *window) == ([], [], [])
+    print("ok cuts: 7")
+
+
+def frames() -> None:
+    # 320 x 240 at 0.0634 mm: 20.3 x 15.2 mm, 162 x 122 pixels at 8 a millimetre, in 192 x 128.
+    frame = np.arange(240 * 320 * 3, dtype=np.uint64).reshape(240, 320, 3).astype(np.uint8)
+    pixels, (x, y) = network_input(frame, 8 * 0.0634)
+    assert pixels.shape == (3, 128, 192) and (x, y) == (320 / 162, 240 / 122)
+    assert (pixels[:, :, 162:] == pixels[:, :, 161:162]).all() and (pixels[:, 122:] == pixels[:, 121:122]).all()
+    # The paper's frame is its square, to the bit.
+    paper = np.random.default_rng(0).integers(0, 256, (1000, 1000, 3), dtype=np.uint8)
+    assert torch.equal(network_input(paper, 8 * 0.04)[0], resize_square(paper, 320)[0])
+    print("ok frames: 2")
+
+
+def labels() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        images = [
+            {"id": 0, "file_name": "0.png", "width": 1000, "height": 1000},
+            {"id": 1, "file_name": "1.png", "width": 320, "height": 240, "mm_per_pixel": 0.0634, "conditions": {"wall": True}},
+        ]
+        annotations = [
+            {"image_id": 0, "category_id": 1, "bbox": [100, 200, 50, 60], "yaw_deg": 90.0},
+            {"image_id": 0, "category_id": 2, "bbox": [0, 200, 50, 60], "yaw_deg": 90.0},  # a stud has no direction
+            {"image_id": 1, "category_id": 1, "bbox": [10, 20, 30, 40], "yaw_deg": None, "whole": False},
+        ]
+        categories = [{"id": 1, "name": "A"}, {"id": 2, "name": "B"}]
+        (Path(folder) / "annotations.json").write_text(json.dumps({"images": images, "annotations": annotations, "categories": categories}))
+        old, new = read_coco(Path(folder))
+        assert (old.mm_per_pixel, old.conditions, new.mm_per_pixel, new.size, new.conditions) == (0.04, {}, 0.0634, (240, 320), {"wall": True})
+        assert old.snaps.boxes.tolist() == [[100, 200, 150, 260], [0, 200, 50, 260]] and old.snaps.whole.tolist() == [True, False]
+        assert abs(old.snaps.yaw[0] - math.pi / 2) < 1e-6 and np.isnan(old.snaps.yaw[1])
+        assert np.isnan(new.snaps.yaw[0]) and new.snaps.whole.tolist() == [False]
+    print("ok labels: 2 pictures")
+
+
+def pose_decoding() -> None:
+    # A direction of (0, 2): straight down. Log variances: ln(0.01) rad^2 is 0.1 rad; 0 and ln(4) mm^2 are 1 and 2 mm; logit ln 3 is 3/4.
+    row = [0.0, 2.0, math.log(0.01), 0.0, math.log(4), math.log(3)]
+    # Past the bounds: a deviation of half a turn over the root of three, exp(-6) mm, 10 mm.
+    wild = [-1.0, 0.0, 50.0, -50.0, 50.0, 0.0]
+    found = pose.decode(torch.tensor([row, wild, row], dtype=torch.float64), torch.tensor([True, True, False]))
+    same("yaw", found["yaw"][:2], torch.tensor([90.0, 180.0], dtype=torch.float64))
+    same("yaw's deviation", found["yaw_std"][:2], torch.tensor([math.degrees(0.1), 180 / math.sqrt(3)], dtype=torch.float64))
+    assert found["yaw"][2].isnan() and found["yaw_std"][2].isnan()
+    same("centre's deviation", found["centre_std"][:2], torch.tensor([[1.0, 2.0], [math.exp(-6), 10.0]], dtype=torch.float64))
+    same("whole", found["whole"], torch.tensor([0.75, 0.5, 0.75], dtype=torch.float64))
+
+
+def pose_likelihoods() -> None:
+    # The likelihood is least where the stated variance is the errors' own: the concentration's, and the mean square.
+    torch.manual_seed(1)
+    error = torch.randn(20000, dtype=torch.float64) * 0.3
+    rows = torch.zeros(1, 6, dtype=torch.float64).repeat(len(error), 1)
+    rows[:, 0] = 1
+    grid = [math.log(0.09) + step for step in (-0.3, -0.1, 0.0, 0.1, 0.3)]
+
+    def least(loss) -> int:
+        values = []
+        for s in grid:
+            rows[:, 2:5] = s
+            values.append(loss())
+        return int(torch.stack(values).argmin())
+
+    assert least(lambda: pose.centre_loss(rows, torch.stack([error, error], 1))) == 2
+    # yaw_loss weighs by exp(s / 2), which is no part of the gradient; and its distance does not depend on s.
+    distance = 0.5 * (2 - 2 * error.cos()).mean()
+    assert least(lambda: (pose.yaw_loss(rows, error) - distance) / (rows[0, 2] / 2).exp()) == 2
+    print("ok likelihoods: 2")
+
+
+def detections() -> None:
+    config = Config(pose=True, temperature=2.0)
+    # Two regions far apart; their boxes are the regions. Logits (0, 2 ln 8, 0) at temperature 2: 8 of 10.
+    scores = torch.tensor([[0.0, 2 * math.log(8), 0.0], [0.0, 0.0, 2 * math.log(8)]])
+    rows = torch.tensor([[1.0, 0, 0, 0, 0, 0], [1.0, 1, 0, 0, 0, 9]])
+    proposals = torch.tensor([[0.0, 0, 40, 40], [100, 100, 160, 150]])
+    found = classify(config, Heads(scores, torch.zeros(2, 12), rows), proposals, (200, 200), 0.5, 0.5)
+    assert found["labels"].tolist() == [1, 2] and torch.equal(found["boxes"], proposals)
+    same("score at a temperature", found["scores"], torch.tensor([0.8, 0.8]), 1e-6)
+    # The stud's yaw is nobody's; the pose's row follows its box.
+    assert found["yaw"][0] == 0 and found["yaw"][1].isnan() and found["whole"][1] > 0.99 > found["whole"][0]
+
+
+def calibration() -> None:
+    # Scores of 0.9 of which 8 of 10 are right, and of 0.3 of which 1 of 10 is: (0.1 + 0.2) / 2.
+    scores, hits = np.repeat([0.9, 0.3], 10), np.array([True] * 8 + [False] * 2 + [True] + [False] * 9)
+    assert abs(calibration_error(scores, hits) - 0.15) < 1e-12
+    truth = {"boxes": torch.tensor([[0.0, 0, 10, 10]]), "labels": torch.tensor([1])}
+    # The best takes the snap, its double is wrong, the other class too.
+    boxes = torch.tensor([[0.0, 0, 10, 9], [0, 0, 10, 10], [0, 0, 10, 10]])
+    assert right(truth, {"boxes": boxes, "labels": torch.tensor([1, 1, 2])}).tolist() == [0, -1, -1]
+    print("ok calibration: 2")
+
+
+def networks() -> None:
+    large, small = (SmrNet(Config(pose=True, **NETWORKS[name])) for name in ("large", "small"))
+    assert multiply_adds(small) * 8 <= multiply_adds(large), f"{multiply_adds(small)} of {multiply_adds(large)}"
+    assert stored_bytes(small) <= 8_000_000, stored_bytes(small)
+    print(f"ok small network: 1/{multiply_adds(large) / multiply_adds(small):.2f} of the multiply-adds, {stored_bytes(small) / 1e6:.2f} MB")
+
+
+def weight_files() -> None:
+    # Format 2: what was written is read.
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "small.safetensors"
+        model = random_model(Config(pose=True, temperature=1.3, **NETWORKS["small"]), 3)
+        weightfile.save(model, file)
+        again = weightfile.load(file)
+        assert again.config == model.config and again.config.to_dict()["format"] == 2
+        twice = Path(folder) / "twice.safetensors"
+        weightfile.save(again, twice)
+        assert file.read_bytes() == twice.read_bytes()
+        # A format that nobody knows is refused.
+        save_file({"x": torch.zeros(1)}, file, metadata={"config": json.dumps({**model.config.to_dict(), "format": 3})})
+        try:
+            weightfile.load(file)
+            raise AssertionError("format 3 was read")
+        except ValueError as error:
+            assert str(error) == "format: expected 1 or 2, got 3"
+    # Format 1: the golden tensors of the published file, made before there was another format.
+    config = {"format": 1, "input_size": 320, "mean": [0.5] * 3, "std": [0.2] * 3, "classes": ["A", "B"], "anchor_sizes": [32.0]}
+    config |= {"anchor_ratios": [1.0], "variant": {"safe": True, "msff": True, "rw": True}, "mm_per_pixel": 0.04, "picture_size": 1000, "reduction": 16}
+    read = Config.from_dict(config)
+    assert (read.pixels_per_mm, read.pose, read.temperature, read.channels, read.blocks) == (8.0, False, 1.0, [64, 128, 256, 512], [3, 4, 6, 3])
+    golden = load_file(ROOT / "tests/fixtures/stages.safetensors")
+    model = weightfile.load(ROOT / "weights/smrnet.safetensors", torch.float64)
+    pixels, _, _ = resize_square(read_picture(ROOT / "tests/fixtures/stages.png"), 96, torch.float64)
+    stages: dict[str, torch.Tensor] = {}
+    model.detect(normalise(pixels, model.config.mean, model.config.std)[None].contiguous(memory_format=torch.channels_last), stages)
+    for name in ("fusion.fused", "rpn.cls", "roi_head.cls_score", "roi_head.bbox_pred", "detections.boxes", "detections.scores"):
+        got = stages[name][0] if stages[name].ndim == 4 else stages[name]
+        # The goldens are rounded to float32.
+        same(f"format 1, {name}", got, golden[name].double(), 2e-7 * golden[name].abs().max().item())
+
+
 if __name__ == "__main__":
     torch.manual_seed(0)
     gates()
     roi_align()
     anchors_and_coder()
+    turns()
+    cuts()
+    frames()
+    labels()
+    pose_decoding()
+    pose_likelihoods()
+    detections()
+    calibration()
+    networks()
+    weight_files()

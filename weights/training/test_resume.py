@@ -13,8 +13,12 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw
 
+import weightfile
+from export import random_model
+from model import NETWORKS, Config
+
 HERE = Path(__file__).parent
-PLAN = ["--crop-steps", "6", "--full-steps", "5", "--size", "128", "--crop", "96", "--batch", "2", "--full-batch", "2"]
+STEPS = 11
 
 
 def draw(folder: Path, count: int) -> None:
@@ -29,16 +33,21 @@ def draw(folder: Path, count: int) -> None:
         pen = ImageDraw.Draw(picture)
         (pen.rectangle if kind == 1 else pen.ellipse)([x, y, x + w, y + h], outline=(200, 90, 90), width=6)
         picture.save(folder / "images" / f"{i}.png")
-        images.append({"id": i, "file_name": f"images/{i}.png", "width": 256, "height": 256})
-        annotations.append({"id": i + 1, "image_id": i, "category_id": kind, "bbox": [x, y, w, h]})
+        images.append({"id": i, "file_name": f"images/{i}.png", "width": 256, "height": 256, "mm_per_pixel": 0.1})
+        annotations.append({"id": i + 1, "image_id": i, "category_id": kind, "bbox": [x, y, w, h], "yaw_deg": 90.0 * int(rng.integers(4)), "whole": True})
     categories = [{"id": 1, "name": "A"}, {"id": 2, "name": "B"}]
     (folder / "annotations.json").write_text(json.dumps({"images": images, "annotations": annotations, "categories": categories}))
 
 
-def start(data: Path, out: Path) -> subprocess.Popen:
-    command = [sys.executable, str(HERE / "train.py"), "--data", str(data), "--out", str(out), *PLAN]
-    # Zero minutes between checkpoints: one after each step.
-    return subprocess.Popen([*command, "--checkpoint-minutes", "0"], stdout=subprocess.DEVNULL)
+def start(data: Path, out: Path, teacher: Path) -> subprocess.Popen:
+    command = [sys.executable, str(HERE / "train.py"), "--out", str(out)]
+    if (out / "checkpoint.pt").exists():
+        command += ["--resume"]
+    else:
+        # Zero minutes between checkpoints: one after each step.
+        command += ["--data", str(data), "--network", "small", "--teacher", str(teacher), "--steps", str(STEPS), "--area", str(2 * 160 * 160)]
+        command += ["--checkpoint-minutes", "0"]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL)
 
 
 def step_of(checkpoint: Path) -> int:
@@ -49,24 +58,26 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         draw(root / "data", 6)
-        assert start(root / "data", root / "whole").wait() == 0
-        for until in (3, 8):  # killed once in each phase
-            process = start(root / "data", root / "killed")
+        weightfile.save(random_model(Config(**NETWORKS["small"]), 1), root / "teacher.safetensors")
+        runs = {name: (root / "data", root / name, root / "teacher.safetensors") for name in ("whole", "killed")}
+        assert start(*runs["whole"]).wait() == 0
+        for until in (3, 7):
+            process = start(*runs["killed"])
             while step_of(root / "killed" / "checkpoint.pt") < until:
                 assert process.poll() is None, "ended before it could be killed"
                 time.sleep(0.05)
             os.kill(process.pid, signal.SIGKILL)
             process.wait()
             at = step_of(root / "killed" / "checkpoint.pt")
-            assert at < 11, "finished before it could be killed"
+            assert at < STEPS, "finished before it could be killed"
             print(f"killed after step {at}")
-        assert start(root / "data", root / "killed").wait() == 0
+        assert start(*runs["killed"]).wait() == 0
         one, other = (torch.load(root / name / "checkpoint.pt", weights_only=True) for name in ("whole", "killed"))
-        assert one["step"] == other["step"] == 11
-        for part in ("model", "ema"):
+        assert one["step"] == other["step"] == STEPS
+        for part in ("model", "ema", "distiller"):
             for name, tensor in one[part].items():
                 assert torch.equal(tensor, other[part][name]), f"{part} {name} differs"
-        print(f"{len(one['model'])} tensors, twice: equal bits")
+        print(f"{len(one['model'])} tensors, twice, and the projection: equal bits")
 
 
 if __name__ == "__main__":

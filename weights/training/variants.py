@@ -56,7 +56,7 @@ def main() -> None:
     pixels, _, _ = resize_square(picture.astype(np.uint8).reshape(HEIGHT, WIDTH, 3), 64, torch.float64)
     stored = {}
     for label, off in VARIANTS.items():
-        config = Config(input_size=64, anchor_sizes=[16.0, 32.0], anchor_ratios=[0.5, 1.0, 2.0], variant=Variant(**off))
+        config = Config(anchor_sizes=[16.0, 32.0], anchor_ratios=[0.5, 1.0, 2.0], variant=Variant(**off))
         model = SmrNet(config)
         state = model.state_dict()
         model.load_state_dict({k: v if k.endswith("num_batches_tracked") else hashed(k, v.shape) for k, v in state.items()})

@@ -21,8 +21,14 @@ def _stored(name: str, tensor: Tensor) -> Tensor:
     return tensor.detach().cpu().contiguous().to(torch.float16 if half else torch.float32).clone()
 
 
+def stored(model: SmrNet) -> dict[str, Tensor]:
+    """The file's tensors by name."""
+    return {k: _stored(k, v) for k, v in model.state_dict().items() if not k.endswith("num_batches_tracked")}
+
+
 def save(model: SmrNet, file: Path) -> None:
-    tensors = {k: _stored(k, v) for k, v in model.state_dict().items() if not k.endswith("num_batches_tracked")}
+    """Always in format 2."""
+    tensors = stored(model)
     for name, tensor in tensors.items():
         if not torch.isfinite(tensor).all():
             raise SystemExit(f"{name}: not finite in {tensor.dtype}")
@@ -33,7 +39,7 @@ def save(model: SmrNet, file: Path) -> None:
 
 
 def load(file: Path, dtype: torch.dtype = torch.float32) -> SmrNet:
-    """The network with the rounded weights of the file, ready for inference."""
+    """The network with the rounded weights of a file in format 1 or 2, ready for inference."""
     with safe_open(file, "pt") as saved:
         config = Config.from_dict(json.loads(saved.metadata()["config"]))
         tensors = {k: saved.get_tensor(k).to(dtype) for k in saved.keys()}

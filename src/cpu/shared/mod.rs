@@ -11,3 +11,26 @@ pub fn sigmoid(x: f64) -> f64 {
 pub fn relu(x: f64) -> f64 {
     if x < 0.0 { 0.0 } else { x }
 }
+
+/// `Σ a[k] · b[k]` in [`LANES`] partial sums, which vector registers hold.
+#[inline(always)]
+pub fn dot(a: &[f32], b: &[f32]) -> f64 {
+    let mut sums = [0.0; LANES];
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
+    for (a, b) in a.iter().zip(b) {
+        for lane in 0..LANES {
+            sums[lane] += f64::from(a[lane]) * f64::from(b[lane]);
+        }
+    }
+    let rest = a_rest.iter().zip(b_rest).map(|(a, b)| f64::from(*a) * f64::from(*b));
+    sums.into_iter().sum::<f64>() + rest.sum::<f64>()
+}
+
+const LANES: usize = 16;
+
+/// Runs `work` compiled for the widest registers that this CPU has. Every operation rounds as it
+/// does elsewhere.
+#[inline]
+pub fn vectorised<R>(work: impl FnOnce() -> R) -> R {
+    pulp::Arch::new().dispatch(work)
+}

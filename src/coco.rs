@@ -1,0 +1,269 @@
+//! COCO annotations: which pictures there are, and what they show.
+//!
+//! [`parse`] takes bytes and opens no file. What pycocotools would pass over in silence, a box
+//! outside its picture or an id that two things share, is refused by name; what it defines, crowds
+//! and areas, is kept for [`crate::metrics`].
+
+use std::collections::{HashMap, HashSet};
+use std::fmt::Display;
+use std::path::{Component, Path, PathBuf};
+
+use serde::Deserialize;
+
+use crate::detector::MAX_PIXELS;
+use crate::metrics::Truth;
+
+/// How far a box may reach past its picture, in pixels: tools round.
+const MARGIN: f64 = 1.0;
+
+/// What is wrong with annotations.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{place}: expected {expected}, got {got}")]
+pub struct Error {
+    /// Which entry.
+    pub place: String,
+    /// What may stand there.
+    pub expected: String,
+    /// What stands there.
+    pub got: String,
+}
+
+impl Error {
+    fn new(place: impl Display, expected: impl Display, got: impl Display) -> Self {
+        Self { place: place.to_string(), expected: expected.to_string(), got: got.to_string() }
+    }
+}
+
+/// Labelled pictures.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Dataset {
+    /// Names of the categories, no two of them alike but for capitals. Tools list some that no
+    /// annotation uses.
+    pub categories: Vec<String>,
+    /// The pictures by rising id, the order in which pycocotools takes them.
+    pub pictures: Vec<Picture>,
+}
+
+/// A picture and what it shows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture {
+    /// Its id.
+    pub id: u64,
+    /// Its file, below the folder of the annotations: no part of it leads up or elsewhere. Links
+    /// are the file system's.
+    pub file: PathBuf,
+    /// Width and height in pixels, where they are stated.
+    pub size: Option<(u32, u32)>,
+    /// What it shows.
+    pub labels: Vec<Label>,
+}
+
+/// A thing in a picture, or a crowd of them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Label {
+    /// The annotation, for messages.
+    name: String,
+    /// Position in [`Dataset::categories`].
+    pub category: usize,
+    /// Where it is, in pixels of the picture.
+    pub truth: Truth,
+}
+
+#[derive(Deserialize)]
+struct Coco {
+    images: Vec<CocoImage>,
+    annotations: Vec<CocoAnnotation>,
+    categories: Vec<CocoCategory>,
+}
+
+#[derive(Deserialize)]
+struct CocoImage {
+    id: u64,
+    file_name: String,
+    width: Option<u32>,
+    height: Option<u32>,
+}
+
+#[derive(Deserialize)]
+struct CocoAnnotation {
+    id: Option<u64>,
+    image_id: u64,
+    category_id: u64,
+    /// Left, top, width, height in pixels.
+    bbox: [f64; 4],
+    area: Option<f64>,
+    iscrowd: Option<serde_json::Value>,
+}
+
+#[derive(Deserialize)]
+struct CocoCategory {
+    id: u64,
+    name: String,
+}
+
+/// Reads the bytes of an annotations file.
+///
+/// # Errors
+/// [`Error`] for what is no COCO JSON; without pictures; ids, files or names of categories that two
+/// share; ids that nothing has; files outside the folder; sizes past [`MAX_PIXELS`]; boxes that are
+/// empty, inside out, not finite or outside their picture; areas and crowds that are none.
+pub fn parse(bytes: &[u8]) -> Result<Dataset, Error> {
+    let coco: Coco = serde_json::from_slice(bytes)
+        .map_err(|e| Error::new("annotations", "COCO's JSON", format!("an error: {e}")))?;
+    if coco.images.is_empty() {
+        return Err(Error::new("images", "at least one", "none"));
+    }
+    let (category_of, categories) = categories(coco.categories)?;
+    let mut pictures = pictures(coco.images)?;
+    let place_of: HashMap<u64, usize> =
+        pictures.iter().enumerate().map(|(place, p)| (p.id, place)).collect();
+    let mut ids = HashSet::new();
+    for (index, annotation) in coco.annotations.into_iter().enumerate() {
+        let name = match annotation.id {
+            Some(id) => format!("annotation {id}"),
+            None => format!("annotation at position {index}"),
+        };
+        if annotation.id.is_some_and(|id| !ids.insert(id)) {
+            return Err(Error::new(name, "each id once", "it twice"));
+        }
+        let CocoAnnotation { image_id, category_id, .. } = annotation;
+        let category = category_of.get(&category_id).copied();
+        let category = category
+            .ok_or_else(|| Error::new(&name, "the category_id of a category", category_id))?;
+        let picture = place_of.get(&image_id).and_then(|place| pictures.get_mut(*place));
+        let picture =
+            picture.ok_or_else(|| Error::new(&name, "the image_id of an image", image_id))?;
+        let truth = truth(&name, &annotation)?;
+        picture.labels.push(Label { name, category, truth });
+    }
+    for picture in &pictures {
+        match picture.size {
+            Some((width, height)) => picture.check_boxes(width, height)?,
+            // The first corner is known to lie outside without the size.
+            None => picture.check_boxes(u32::MAX, u32::MAX)?,
+        }
+    }
+    Ok(Dataset { categories, pictures })
+}
+
+/// The categories' names, and the position of each id among them.
+fn categories(categories: Vec<CocoCategory>) -> Result<(HashMap<u64, usize>, Vec<String>), Error> {
+    let (mut place_of, mut names, mut known) = (HashMap::new(), Vec::new(), HashSet::new());
+    for CocoCategory { id, name } in categories {
+        if place_of.insert(id, names.len()).is_some() {
+            return Err(Error::new(format!("category {id}"), "each id once", "it twice"));
+        }
+        if !known.insert(name.to_lowercase()) {
+            let place = format!("category {id}");
+            return Err(Error::new(place, "each name once", format!("`{name}` twice")));
+        }
+        names.push(name);
+    }
+    Ok((place_of, names))
+}
+
+/// The pictures by rising id, without labels so far.
+fn pictures(images: Vec<CocoImage>) -> Result<Vec<Picture>, Error> {
+    let mut pictures = Vec::with_capacity(images.len());
+    let mut owner_of: HashMap<PathBuf, u64> = HashMap::new();
+    for CocoImage { id, file_name, width, height } in images {
+        let name = format!("image {id}");
+        let file = below(&file_name).ok_or_else(|| {
+            Error::new(&name, "a file_name inside the folder", format!("`{file_name}`"))
+        })?;
+        if let Some(other) = owner_of.insert(file.clone(), id).filter(|other| *other != id) {
+            let got = format!("`{file_name}`, which is image {other}'s");
+            return Err(Error::new(name, "a file_name of its own", got));
+        }
+        let size = width.zip(height);
+        let pixels = size.map(|(w, h)| u64::from(w) * u64::from(h));
+        if pixels.is_some_and(|pixels| !(1..=MAX_PIXELS as u64).contains(&pixels)) {
+            let (w, h) = size.unwrap_or_default();
+            let expected = format!("1 to {MAX_PIXELS} pixels");
+            return Err(Error::new(name, expected, format!("{w} × {h}")));
+        }
+        pictures.push(Picture { id, file, size, labels: Vec::new() });
+    }
+    pictures.sort_by_key(|p| p.id);
+    match pictures.windows(2).find(|pair| pair[0].id == pair[1].id) {
+        Some(pair) => Err(Error::new(format!("image {}", pair[0].id), "each id once", "it twice")),
+        None => Ok(pictures),
+    }
+}
+
+/// A file's path below the folder, without `.`; `None` if it leads up or elsewhere, or nowhere.
+fn below(file_name: &str) -> Option<PathBuf> {
+    let mut path = PathBuf::new();
+    for part in Path::new(file_name).components() {
+        match part {
+            Component::Normal(name) => path.push(name),
+            Component::CurDir => {}
+            Component::ParentDir | Component::RootDir | Component::Prefix(_) => return None,
+        }
+    }
+    (!path.as_os_str().is_empty()).then_some(path)
+}
+
+/// The truth that an annotation states.
+fn truth(name: &str, annotation: &CocoAnnotation) -> Result<Truth, Error> {
+    let [x, y, width, height] = annotation.bbox;
+    let bbox = [x, y, x + width, y + height];
+    let is_box = width > 0.0 && height > 0.0 && bbox[2] > x && bbox[3] > y;
+    if !is_box || !bbox.iter().all(|side| side.is_finite()) {
+        let expected = "a bbox of finite numbers with width and height above 0";
+        return Err(Error::new(name, expected, format!("{:?}", annotation.bbox)));
+    }
+    let area = annotation.area.unwrap_or(width * height);
+    if !(area >= 0.0 && area.is_finite()) {
+        return Err(Error::new(name, "an area from 0", area));
+    }
+    let crowd = match annotation.iscrowd.as_ref() {
+        None => false,
+        Some(value) => match value.as_bool().or(value.as_u64().and_then(flag)) {
+            Some(crowd) => crowd,
+            None => return Err(Error::new(name, "an iscrowd of 0 or 1", value)),
+        },
+    };
+    Ok(Truth { bbox, area, crowd })
+}
+
+fn flag(number: u64) -> Option<bool> {
+    match number {
+        0 => Some(false),
+        1 => Some(true),
+        _ => None,
+    }
+}
+
+impl Picture {
+    /// Checks the picture's true size: against the stated one, and whether all boxes lie inside.
+    ///
+    /// # Errors
+    /// [`Error`] that names the picture or the annotation.
+    pub fn check_size(&self, width: u32, height: u32) -> Result<(), Error> {
+        match self.size {
+            Some((w, h)) if (w, h) != (width, height) => {
+                let (expected, got) =
+                    (format!("{w} × {h} pixels as labelled"), format!("{width} × {height}"));
+                Err(Error::new(format!("image {}", self.id), expected, got))
+            }
+            _ => self.check_boxes(width, height),
+        }
+    }
+
+    fn check_boxes(&self, width: u32, height: u32) -> Result<(), Error> {
+        let [right, bottom] = [width, height].map(|side| f64::from(side) + MARGIN);
+        for Label { name, truth: Truth { bbox: [x1, y1, x2, y2], .. }, .. } in &self.labels {
+            let inside = *x1 >= -MARGIN && *y1 >= -MARGIN && *x2 <= right && *y2 <= bottom;
+            if !inside {
+                let expected = match width {
+                    u32::MAX => "a bbox inside its picture".into(),
+                    _ => format!("a bbox inside its {width} × {height} pixels"),
+                };
+                let got = format!("{x1}, {y1} to {x2}, {y2}");
+                return Err(Error::new(name, expected, got));
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,196 @@
+//! One tensor of a run: its own error, its bias, and how far the chain has drifted.
+
+use crate::ops::op::{Op, Tolerance};
+use crate::tensor::Value;
+
+/// A bias of a tensor's errors counts from so many of its standard deviations. By Hoeffding's
+/// inequality chance goes past it in fewer than one tensor in 10¹⁰ (2·exp(−7²/2) = 5·10⁻¹¹).
+const DEVIATIONS: f64 = 7.0;
+
+/// One tensor that the device computed, beside what the reference makes of the same inputs.
+#[derive(Clone, Debug)]
+pub struct TensorComparison {
+    /// Name of the tensor.
+    pub name: String,
+    /// The largest error of an element as a share of its bound, which the operation gives: at most 1
+    /// on a device that computes as it should. Where bits count, as of indices, counts and copies, it
+    /// is 0, or infinite if one differs.
+    pub share: f64,
+    /// For sums of products: how far the tensor as a whole is scaled, as a share of what roundings
+    /// that fall to either side leave of that. `None` for other operations.
+    pub bias: Option<f64>,
+    /// How far the device is from the reference that saw the picture alone: what the errors of all
+    /// operations so far have become, relative in the L2 norm, in the rows that both chose. `None`
+    /// for integers. A norm below 1, such as that of the scores of a picture without a snap, counts
+    /// as 1, a score's scale.
+    pub drift: Option<f64>,
+    /// What is wrong, in words.
+    pub failure: Option<String>,
+}
+
+impl TensorComparison {
+    /// Holds the first `defined` elements of an output of `op` to the reference's.
+    pub(super) fn new(
+        name: &str,
+        op: &dyn Op,
+        got: &Value,
+        want: &Value,
+        tolerance: &Tolerance,
+        defined: usize,
+    ) -> Self {
+        let mut share = 0f64;
+        let mut wrong = 0;
+        let mut first = None;
+        for i in 0..defined {
+            let (error, limit) = tolerance.judge(got, want, i);
+            if error == 0.0 {
+                continue;
+            }
+            let of_limit = error / limit;
+            // Not `of_limit > 1`: a NaN must fail.
+            if of_limit <= 1.0 {
+                share = share.max(of_limit);
+            } else {
+                share = if of_limit.is_nan() { f64::INFINITY } else { share.max(of_limit) };
+                wrong += 1;
+                first.get_or_insert((i, limit));
+            }
+        }
+        let bias = op.unbiased().then(|| bias(got, want, tolerance, defined)).flatten();
+        let failure = match (first, bias) {
+            (Some((i, limit)), _) => {
+                let (got, want) = (got.show(i), want.show(i));
+                Some(format!(
+                    "{name}: {wrong} of {defined} elements wrong: element {i}: expected {want} ± \
+                     {limit:.1e}, got {got}"
+                ))
+            }
+            (None, Some(bias)) if bias > 1.0 => {
+                Some(format!("{name}: scaled by {bias:.1} times what roundings leave"))
+            }
+            _ => None,
+        };
+        Self { name: name.into(), share, bias, drift: None, failure }
+    }
+}
+
+/// With errors e, bounds b and the reference's values y: the common factor that fits the errors best
+/// is Σey / Σy². If each error is a rounding of its own, of mean 0 and at most b, then |Σey| is above
+/// d·√Σ(by)² with a probability of at most 2·exp(−d²/2) (Hoeffding 1963), while errors that all agree
+/// may reach Σb|y|. Neighbours that are equal to the bit, as where a picture is flat, are the same sum
+/// again and count as one.
+fn bias(got: &Value, want: &Value, tolerance: &Tolerance, defined: usize) -> Option<f64> {
+    let (got, want) = (got.f32().ok()?.data(), want.f32().ok()?.data());
+    let (mut sum, mut squares, mut run) = (0.0, 0.0, 0.0);
+    let mut last = None;
+    for (i, pair) in got.iter().zip(want).enumerate().take(defined) {
+        let bits = (pair.0.to_bits(), pair.1.to_bits());
+        let (got, want) = (f64::from(*pair.0), f64::from(*pair.1));
+        sum += (got - want) * want;
+        if last != Some(bits) {
+            squares += run * run;
+            run = 0.0;
+        }
+        run += tolerance.limit(i) * want;
+        last = Some(bits);
+    }
+    squares += run * run;
+    Some(if sum == 0.0 { 0.0 } else { sum.abs() / (DEVIATIONS * squares.sqrt()) })
+}
+
+/// ‖got − want‖ / ‖want‖; infinite if one is longer.
+pub fn relative_l2(got: &[f32], want: &[f32]) -> f64 {
+    let (difference, norm) = norms(got, want);
+    if norm == 0.0 { difference } else { difference / norm }
+}
+
+/// As [`TensorComparison::drift`] says.
+pub(super) fn drift(got: &[f32], want: &[f32]) -> f64 {
+    let (difference, norm) = norms(got, want);
+    difference / norm.max(1.0)
+}
+
+/// ‖got − want‖, infinite if one is longer, and ‖want‖.
+fn norms(got: &[f32], want: &[f32]) -> (f64, f64) {
+    if got.len() != want.len() {
+        return (f64::INFINITY, 1.0);
+    }
+    let (mut difference, mut norm) = (0.0, 0.0);
+    for (g, w) in got.iter().zip(want) {
+        let (g, w) = (f64::from(*g), f64::from(*w));
+        difference += (g - w).powi(2);
+        norm += w * w;
+    }
+    (difference.sqrt(), norm.sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ops::{Conv2d, Softmax};
+    use crate::tensor::Tensor;
+
+    #[test]
+    fn relative_error_by_hand() {
+        // ‖(0, 1)‖ / ‖(3, 4)‖.
+        assert_eq!(relative_l2(&[3.0, 5.0], &[3.0, 4.0]), 0.2);
+        assert_eq!(relative_l2(&[0.0, 2.0], &[0.0, 0.0]), 2.0);
+        assert_eq!(relative_l2(&[1.0], &[1.0, 1.0]), f64::INFINITY);
+        assert!(relative_l2(&[f32::NAN], &[1.0]).is_nan());
+    }
+
+    #[test]
+    fn small_tensors_drift_absolutely() {
+        assert_eq!(drift(&[3.0, 5.0], &[3.0, 4.0]), 0.2);
+        // ‖(0, 0.25)‖, of a norm of 0.5.
+        assert_eq!(drift(&[0.0, 0.75], &[0.0, 0.5]), 0.25);
+        assert_eq!(drift(&[0.0, 2.0], &[0.0, 0.0]), 2.0);
+    }
+
+    fn compared(op: &dyn Op, got: &[f32], want: &[f32], tolerance: &Tolerance) -> TensorComparison {
+        let value = |data: &[f32]| Tensor::from_fn([data.len()], |i| data[i]).into();
+        TensorComparison::new("t", op, &value(got), &value(want), tolerance, got.len())
+    }
+
+    #[test]
+    fn shares_by_hand() {
+        let softmax = Softmax { count: false };
+        let each = Tolerance::Each(vec![0.5, 0.25]);
+        let within = compared(&softmax, &[1.125, 2.125], &[1.0, 2.0], &each);
+        assert_eq!((within.share, within.failure), (0.5, None));
+        let past = compared(&softmax, &[1.0, 2.5], &[1.0, 2.0], &each);
+        assert_eq!(past.share, 2.0);
+        assert!(past.failure.is_some_and(|f| f.contains("1 of 2") && f.contains("got 2.5")));
+        let nan = compared(&softmax, &[f32::NAN, 2.0], &[1.0, 2.0], &each);
+        assert!(nan.share == f64::INFINITY && nan.failure.is_some());
+        // Where bits count, −0 is not 0.
+        let exact = compared(&softmax, &[-0.0], &[0.0], &Tolerance::Exact);
+        assert!(exact.share == f64::INFINITY && exact.failure.is_some());
+    }
+
+    /// Errors of a third of the bound: to either side they are roundings, to one side a scale.
+    #[test]
+    fn a_common_factor_is_no_rounding() {
+        let want: Vec<f32> = (0..4096).map(|i| 1.0 + (i % 7) as f32).collect();
+        let off = |sign: fn(usize) -> f32| -> Vec<f32> {
+            want.iter().enumerate().map(|(i, w)| w * (1.0 + sign(i) / 1024.0)).collect()
+        };
+        let bounds = Tolerance::Each(want.iter().map(|w| f64::from(*w) * 3.0 / 1024.0).collect());
+        let conv = Conv2d::default();
+        let rounded = off(|i| if i / 7 % 2 == 0 { 1.0 } else { -1.0 });
+        let healthy = compared(&conv, &rounded, &want, &bounds);
+        assert!(healthy.failure.is_none() && healthy.bias.is_some_and(|b| b < 0.1), "{healthy:?}");
+        // Σe|y| = Σy²/1024 of 7 · 3/1024 · √Σy⁴: with y from 1 to 7 in turn, 64·√7·20 / 21·√668.
+        let scaled = compared(&conv, &off(|_| 1.0), &want, &bounds);
+        let bias = scaled.bias.unwrap_or_default();
+        assert!((bias - 64.0 * 20.0 / (21.0 * 668f64.sqrt())).abs() < 1e-3, "{bias}");
+        assert!(scaled.share < 0.34 && scaled.failure.is_some_and(|f| f.contains("scaled")));
+        // Other operations may be off to one side, as a driver's exponential is.
+        let other = compared(&Softmax { count: false }, &off(|_| 1.0), &want, &bounds);
+        assert!(other.bias.is_none() && other.failure.is_none());
+        // The same value everywhere is one rounding.
+        let flat = Tolerance::Each(vec![3.0 / 1024.0; 4096]);
+        let one = compared(&conv, &[1.0 + 1.0 / 1024.0; 4096], &[1.0; 4096], &flat);
+        assert!(one.failure.is_none() && one.bias.is_some_and(|b| b < 0.05), "{one:?}");
+    }
+}

@@ -1,0 +1,296 @@
+//! Reading pictures that nobody vouches for: PNG, JPEG, BMP and TIFF.
+//!
+//! Whatever the bytes are, [`decode`] ends with the whole picture or with an [`Error`]. It does not
+//! panic, since it catches what a decoder does, and it keeps to limits:
+//!
+//! | | at most |
+//! |---|---|
+//! | pixels | [`MAX_PIXELS`] |
+//! | bytes as stored | [`MAX_ENCODED`]; of a file of another kind, its first [`MAGIC`] are read |
+//! | bytes as decoded | 8 a pixel: four channels of 16 bits; decoders take as much again |
+//! | scans of a JPEG | [`MAX_SCANS`], each over all of its pixels |
+//! | strips or tiles of a TIFF | what fits into an index of 1 MiB, without overlap |
+//!
+//! A build with `panic = "abort"` cannot catch a decoder's panic.
+
+mod jpeg;
+mod png;
+mod tiff;
+
+use std::cell::Cell;
+use std::fmt;
+use std::io::{Cursor, Read};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+use image::codecs::bmp::BmpDecoder;
+use image::{DynamicImage, ImageDecoder, ImageError};
+
+use crate::detector::MAX_PIXELS;
+use crate::files;
+pub use jpeg::MAX_SCANS;
+
+/// Most bytes of a picture as it is stored: [`MAX_PIXELS`] of four channels of 16 bits, and 64 MiB.
+pub const MAX_ENCODED: u64 = MAX_PIXELS as u64 * 8 + (64 << 20);
+/// How many bytes show what a file is.
+pub const MAGIC: u64 = 8;
+
+/// A kind of picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// PNG.
+    Png,
+    /// JPEG.
+    Jpeg,
+    /// BMP.
+    Bmp,
+    /// TIFF, BigTIFF too.
+    Tiff,
+}
+
+impl Format {
+    /// The format that a file's first bytes show.
+    fn of(bytes: &[u8]) -> Result<Self, Error> {
+        match bytes {
+            [0x89, b'P', b'N', b'G', b'\r', b'\n', 0x1a, b'\n', ..] => Ok(Self::Png),
+            [0xff, 0xd8, 0xff, ..] => Ok(Self::Jpeg),
+            [b'B', b'M', ..] => Ok(Self::Bmp),
+            [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => Ok(Self::Tiff),
+            [] => Err(Error::Unknown("an empty one".into())),
+            _ => Err(Error::Unknown(match image::guess_format(bytes) {
+                Ok(other) => format!("{other:?}"),
+                Err(_) => "something else".into(),
+            })),
+        }
+    }
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Png => "PNG",
+            Self::Jpeg => "JPEG",
+            Self::Bmp => "BMP",
+            Self::Tiff => "TIFF",
+        })
+    }
+}
+
+/// Why there is no picture; without its name, which the caller knows.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The operating system's words, or what the path leads to that is no file.
+    #[error("{0}")]
+    Io(#[from] std::io::Error),
+    /// None of the formats.
+    #[error("expected a PNG, JPEG, BMP or TIFF picture, got {0}")]
+    Unknown(String),
+    /// Past a limit.
+    #[error("expected at most {limit}, got {got}")]
+    TooLarge {
+        /// The limit with its unit.
+        limit: String,
+        /// What came.
+        got: String,
+    },
+    /// A sound file of a kind that is not read.
+    #[error("expected {expected}, got {got}")]
+    Unsupported {
+        /// What is read.
+        expected: &'static str,
+        /// What came.
+        got: String,
+    },
+    /// A part of the picture is missing or wrong.
+    #[error("expected a whole {format}, got {got}")]
+    Damaged {
+        /// The format.
+        format: Format,
+        /// What came.
+        got: String,
+    },
+    /// The decoder refused it, in its words.
+    #[error("expected a readable {format}, got an error: {message}")]
+    Unreadable {
+        /// The format.
+        format: Format,
+        /// The decoder's words.
+        message: String,
+    },
+    /// The decoder panicked: a fault of its own.
+    #[error("the {format} decoder failed at this picture: {message}")]
+    DecoderFailed {
+        /// The format.
+        format: Format,
+        /// The panic's message.
+        message: String,
+    },
+}
+
+/// Reads a picture from a file and turns it upright as its orientation says.
+///
+/// # Errors
+/// [`Error`]. Pipes, devices, sockets and folders are refused, not opened.
+pub fn read(path: &Path) -> Result<DynamicImage, Error> {
+    let (file, length) = files::open(path)?;
+    read_sized(file, length)
+}
+
+/// The same from a stream, to its end.
+///
+/// # Errors
+/// [`Error`].
+pub fn read_from(reader: impl Read) -> Result<DynamicImage, Error> {
+    read_sized(reader, 0)
+}
+
+/// Reads a stream that is about `length` bytes long.
+fn read_sized(mut reader: impl Read, length: u64) -> Result<DynamicImage, Error> {
+    let mut bytes = Vec::new();
+    reader.by_ref().take(MAGIC).read_to_end(&mut bytes)?;
+    Format::of(&bytes)?;
+    check_encoded(length)?;
+    // The limit fits into any `usize` of 32 bits.
+    bytes.try_reserve_exact(length as usize).map_err(std::io::Error::from)?;
+    reader.take(MAX_ENCODED + 1 - MAGIC).read_to_end(&mut bytes)?;
+    decode(&bytes)
+}
+
+/// Decodes a picture and turns it upright as its orientation says.
+///
+/// # Errors
+/// [`Error`].
+pub fn decode(bytes: &[u8]) -> Result<DynamicImage, Error> {
+    let format = Format::of(bytes)?;
+    check_encoded(bytes.len() as u64)?;
+    guarded(format, || match format {
+        Format::Png => png::decode(bytes),
+        Format::Jpeg => jpeg::decode(bytes),
+        Format::Bmp => {
+            let decoder = BmpDecoder::new(Cursor::new(bytes));
+            finish(format, decoder.map_err(|e| unreadable(format, e))?)
+        }
+        Format::Tiff => tiff::decode(bytes),
+    })
+}
+
+thread_local! {
+    static DECODING: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Whether this thread is within [`decode`], which catches panics and reports them as errors: a
+/// program's panic hook may keep quiet then.
+pub fn is_decoding() -> bool {
+    DECODING.get()
+}
+
+/// Runs a decoder; its panic is an error of this picture alone.
+fn guarded(
+    format: Format,
+    decode: impl FnOnce() -> Result<DynamicImage, Error>,
+) -> Result<DynamicImage, Error> {
+    let outer = DECODING.replace(true);
+    // What the decoder worked on dies with it; it reads nothing but the bytes.
+    let result = catch_unwind(AssertUnwindSafe(decode));
+    DECODING.set(outer);
+    result.unwrap_or_else(|panic| {
+        let text = panic.downcast_ref::<String>().map(String::as_str);
+        let message = text.or_else(|| panic.downcast_ref().copied()).unwrap_or("it panicked");
+        Err(Error::DecoderFailed { format, message: message.into() })
+    })
+}
+
+/// The picture of one of `image`'s decoders.
+fn finish(format: Format, mut decoder: impl ImageDecoder) -> Result<DynamicImage, Error> {
+    check_size(decoder.dimensions())?;
+    let orientation = decoder.orientation().map_err(|e| unreadable(format, e))?;
+    let picture = DynamicImage::from_decoder(decoder);
+    let mut picture = picture.map_err(|e| unreadable(format, e))?;
+    picture.apply_orientation(orientation);
+    Ok(picture)
+}
+
+fn unreadable(format: Format, error: ImageError) -> Error {
+    Error::Unreadable { format, message: error.to_string() }
+}
+
+fn check_encoded(length: u64) -> Result<(), Error> {
+    match length <= MAX_ENCODED {
+        true => Ok(()),
+        false => Err(Error::TooLarge {
+            limit: format!("{MAX_ENCODED} bytes"),
+            got: match length == MAX_ENCODED + 1 {
+                true => "more".into(),
+                false => length.to_string(),
+            },
+        }),
+    }
+}
+
+fn check_size((width, height): (u32, u32)) -> Result<(), Error> {
+    let pixels = u64::from(width) * u64::from(height);
+    match pixels <= MAX_PIXELS as u64 {
+        true => Ok(()),
+        false => Err(Error::TooLarge {
+            limit: format!("{MAX_PIXELS} pixels"),
+            got: format!("{width} × {height}"),
+        }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_decoders_panic_is_an_error() {
+        let error = guarded(Format::Bmp, || panic!("index {} out of bounds", 7));
+        let error = error.expect_err("it panics");
+        assert_eq!(
+            error.to_string(),
+            "the BMP decoder failed at this picture: index 7 out of bounds"
+        );
+        assert!(!is_decoding());
+        guarded(Format::Bmp, || {
+            assert!(is_decoding());
+            Err(Error::Unknown(String::new()))
+        })
+        .expect_err("no picture");
+    }
+
+    /// A stream that fails the test if it is read past its magic.
+    struct Endless {
+        magic: &'static [u8],
+        given: u64,
+        most: u64,
+    }
+
+    impl Read for Endless {
+        fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+            for byte in buffer.iter_mut() {
+                *byte = self.magic.get(self.given as usize).copied().unwrap_or(0);
+                self.given += 1;
+            }
+            assert!(self.given <= self.most, "{} bytes were read", self.given);
+            Ok(buffer.len())
+        }
+    }
+
+    #[test]
+    fn of_other_files_the_first_bytes_alone_are_read() {
+        let mut zero = Endless { magic: b"", given: 0, most: MAGIC };
+        let error = read_from(&mut zero).expect_err("no picture");
+        assert_eq!(
+            error.to_string(),
+            "expected a PNG, JPEG, BMP or TIFF picture, got something else"
+        );
+    }
+
+    #[test]
+    fn endless_streams_end_at_the_limit() {
+        let mut bmp = Endless { magic: b"BM", given: 0, most: MAX_ENCODED + 1 };
+        let error = read_from(&mut bmp).expect_err("no end");
+        assert_eq!(error.to_string(), format!("expected at most {MAX_ENCODED} bytes, got more"));
+    }
+}

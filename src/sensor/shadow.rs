@@ -1,0 +1,64 @@
+//! Shadows that the relief casts on itself.
+//!
+//! Light falls in parallel rays and is blocked or not: no light goes round an edge or through the
+//! gel, and what the relief reflects lights nothing else. The edge of a shadow is softened by the
+//! height by which a ray is missed, which stands for a lamp of finite size.
+
+use super::gel::Grid;
+
+/// Where light comes from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ray {
+    /// Direction on the gel that points to the light, from x towards y, in radians.
+    pub azimuth: f64,
+    /// Angle above the gel, in radians.
+    pub elevation: f64,
+}
+
+/// How much of the light each cell lacks, 0 to 1, on a surface of these heights towards the
+/// camera, in millimetres.
+///
+/// `soft_mm` is the width of a shadow's edge on flat gel. One pass from the light's side keeps the
+/// height of the shadow's lower bound, which falls by the light's slope from cell to cell.
+///
+/// # Panics
+/// If `heights` is not as long as the grid.
+pub fn cast(grid: Grid, heights: &[f32], ray: Ray, soft_mm: f64) -> Vec<f32> {
+    let n = grid.cells;
+    assert_eq!(heights.len(), n * n);
+    let slope = ray.elevation.tan();
+    let soft = (soft_mm * slope).max(1e-4) as f32;
+    // Rays go along the axis that they are closer to: `lines` are met one after the other, and
+    // from one to the next a ray moves by `shift` cells along the line.
+    let (sin, cos) = ray.azimuth.sin_cos();
+    let along_x = cos.abs() > sin.abs();
+    let (major, minor) = if along_x { (cos, sin) } else { (sin, cos) };
+    let drop = (slope * grid.spacing_mm / major.abs()) as f32;
+    let shift = (minor / major.abs()) as f32;
+    let index = |line: usize, at: usize| if along_x { at * n + line } else { line * n + at };
+
+    let mut shadow = vec![0.0f32; n * n];
+    let mut bound = vec![f32::NEG_INFINITY; n];
+    let mut next = bound.clone();
+    for step in 0..n {
+        // The light stands on the side where the axis ends if `major` is positive.
+        let line = if major > 0.0 { n - 1 - step } else { step };
+        for at in 0..n {
+            let height = heights[index(line, at)];
+            let from = at as f32 + shift;
+            let cell = from.floor();
+            let t = from - cell;
+            let get = |i: f32| {
+                if i >= 0.0 && (i as usize) < n { bound[i as usize] } else { f32::NEG_INFINITY }
+            };
+            let (a, b) = (get(cell), get(cell + 1.0));
+            let above = if a.is_finite() && b.is_finite() { a + t * (b - a) } else { a.max(b) };
+            let above = above - drop;
+            let t = ((above - height) / soft).clamp(0.0, 1.0);
+            shadow[index(line, at)] = t * t * (3.0 - 2.0 * t);
+            next[at] = above.max(height);
+        }
+        std::mem::swap(&mut bound, &mut next);
+    }
+    shadow
+}

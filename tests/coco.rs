@@ -1,0 +1,179 @@
+//! COCO annotations, and the COCO evaluation held to pycocotools.
+
+use std::path::Path;
+
+use serde_json::{Value, json};
+use smr_gpu::coco::{self, Dataset};
+use smr_gpu::metrics::{
+    Areas, PictureBoxes, ScoredBox, average_precision, average_precision_50_95, coco_overlaps,
+};
+
+fn fixture() -> Value {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/coco.json");
+    let text = std::fs::read(file).expect("the fixture");
+    serde_json::from_slice(&text).expect("JSON")
+}
+
+fn parse(value: &Value) -> Result<Dataset, String> {
+    coco::parse(value.to_string().as_bytes()).map_err(|e| e.to_string())
+}
+
+/// Each category's boxes by picture.
+fn boxes(data: &Dataset, ids: &[u64], found: &Value) -> Vec<Vec<PictureBoxes>> {
+    let found = found.as_array().expect("a list");
+    let of = |category: usize, picture: &coco::Picture| {
+        let labels = picture.labels.iter().filter(|l| l.category == category);
+        let here = found.iter().filter(|f| f[0] == picture.id && f[1] == ids[category]);
+        let found = here.map(|f| {
+            let [x, y, w, h] = [0, 1, 2, 3].map(|i| f[2][i].as_f64().expect("a number"));
+            ScoredBox { bbox: [x, y, x + w, y + h], score: f[3].as_f64().expect("a score") }
+        });
+        PictureBoxes { truths: labels.map(|l| l.truth).collect(), found: found.collect() }
+    };
+    (0..ids.len()).map(|c| data.pictures.iter().map(|p| of(c, p)).collect()).collect()
+}
+
+/// pycocotools on 200 random sets with ties, crowds, areas and empty classes; made by
+/// tests/fixtures/coco.py.
+#[test]
+fn figures_are_those_of_pycocotools() {
+    let fixture = fixture();
+    for (ours, theirs) in coco_overlaps().iter().zip(fixture["overlaps"].as_array().expect("ten")) {
+        assert_eq!(*ours, theirs.as_str().expect("text").parse::<f64>().expect("a number"));
+    }
+    let areas = [
+        ("all", Areas::ALL),
+        ("small", Areas::SMALL),
+        ("medium", Areas::MEDIUM),
+        ("large", Areas::LARGE),
+    ];
+    let (mut figures, mut empty, mut crowds, mut between) = (0, 0, 0, 0);
+    let sets = fixture["sets"].as_array().expect("sets");
+    assert_eq!(sets.len(), 200);
+    for (number, set) in sets.iter().enumerate() {
+        let data = parse(&set["annotations"]).expect("annotations");
+        let categories = set["annotations"]["categories"].as_array().expect("a list");
+        let ids: Vec<u64> = categories.iter().map(|c| c["id"].as_u64().expect("an id")).collect();
+        crowds += data.pictures.iter().flat_map(|p| &p.labels).filter(|l| l.truth.crowd).count();
+        for (c, boxes) in boxes(&data, &ids, &set["found"]).iter().enumerate() {
+            for (name, areas) in areas {
+                let ours = average_precision(boxes, coco_overlaps()[0], areas)
+                    .zip(average_precision_50_95(boxes, areas));
+                let theirs = &set["expected"][name][c];
+                let Some((ap50, ap)) = ours else {
+                    assert!(theirs.is_null(), "set {number}, {name}, class {c}: {theirs}");
+                    empty += 1;
+                    continue;
+                };
+                for (ours, theirs) in [ap50, ap].into_iter().zip([&theirs[0], &theirs[1]]) {
+                    let theirs = theirs.as_f64().unwrap_or(f64::NAN);
+                    let error = (ours - theirs).abs();
+                    let what = format!("set {number}, {name}, class {c}: {ours} and {theirs}");
+                    assert!(error <= 1e-12, "{what}");
+                    figures += 1;
+                    between += usize::from(theirs > 0.0 && theirs < 1.0);
+                }
+            }
+        }
+    }
+    println!(
+        "{figures} figures, {between} of them between 0 and 1; {empty} empty; {crowds} crowds"
+    );
+    assert!(figures > 1000 && between > 500 && empty > 200 && crowds > 100);
+}
+
+/// Annotations of one picture, after `change`.
+fn changed(change: impl FnOnce(&mut Value)) -> Value {
+    let mut value = json!({
+        "images": [
+            {"id": 7, "file_name": "images/a.png", "width": 80, "height": 60},
+            {"id": 3, "file_name": "b.png"}
+        ],
+        "categories": [{"id": 1, "name": "A"}, {"id": 2, "name": "B"}],
+        "annotations": [
+            {"id": 1, "image_id": 7, "category_id": 2, "bbox": [10, 20, 30, 40]},
+            {"id": 2, "image_id": 3, "category_id": 1, "bbox": [0.5, 0, 4, 5], "area": 9, "iscrowd": 1}
+        ]
+    });
+    change(&mut value);
+    value
+}
+
+#[test]
+fn annotations_are_read() {
+    let data = parse(&changed(|_| ())).expect("annotations");
+    assert_eq!(data.categories, ["A", "B"]);
+    let [b, a] = &data.pictures[..] else { panic!("two pictures: {data:?}") };
+    assert_eq!((a.id, a.file.as_path(), a.size), (7, Path::new("images/a.png"), Some((80, 60))));
+    assert_eq!((b.id, b.size), (3, None));
+    let truth = a.labels[0].truth;
+    assert_eq!((a.labels[0].category, truth.bbox), (1, [10.0, 20.0, 40.0, 60.0]));
+    assert_eq!((truth.area, truth.crowd), (1200.0, false));
+    let truth = b.labels[0].truth;
+    assert_eq!((truth.bbox, truth.area, truth.crowd), ([0.5, 0.0, 4.5, 5.0], 9.0, true));
+    let message = a.check_size(60, 80).expect_err("turned").to_string();
+    assert_eq!(message, "image 7: expected 80 × 60 pixels as labelled, got 60 × 80");
+    b.check_size(4, 4).expect("a pixel is the margin");
+    let message = b.check_size(3, 5).expect_err("too narrow").to_string();
+    assert!(message.starts_with("annotation 2: expected a bbox inside its 3 × 5 pixels"));
+    // Some tools write no ids, a crowd as true or false, and corners that are rounded.
+    let rounded = changed(|v| {
+        let annotation = &mut v["annotations"][0];
+        annotation.as_object_mut().expect("an object").remove("id");
+        annotation["iscrowd"] = json!(false);
+        annotation["bbox"] = json!([-0.5, -1, 81.5, 62]);
+    });
+    assert!(!parse(&rounded).expect("annotations").pictures[1].labels[0].truth.crowd);
+}
+
+#[test]
+fn what_would_enter_the_figures_unseen_is_refused_by_name() {
+    let bbox = |bbox: Value| changed(move |v| v["annotations"][0]["bbox"] = bbox);
+    let file = |name: &str| changed(|v| v["images"][0]["file_name"] = json!(name));
+    let cases = [
+        (bbox(json!([10, 20, -3, 4])), "annotation 1: expected a bbox of finite numbers"),
+        (bbox(json!([10, 20, 0, 4])), "annotation 1: expected a bbox of finite numbers"),
+        (bbox(json!([10, 20, 3, 1e-300])), "annotation 1: expected a bbox of finite numbers"),
+        (bbox(json!([1e308, 20, 1.7e308, 4])), "annotation 1: expected a bbox of finite numbers"),
+        (bbox(json!([10, 20, 72, 4])), "annotation 1: expected a bbox inside its 80 × 60 pixels"),
+        (bbox(json!([-2, 20, 7, 4])), "annotation 1: expected a bbox inside its 80 × 60 pixels"),
+        (bbox(json!([1, 2, 3])), "annotations: expected COCO's JSON"),
+        (bbox(json!([1, 2, 3, null])), "annotations: expected COCO's JSON"),
+        (
+            changed(|v| v["annotations"][1]["bbox"] = json!([-9, 0, 4, 5])),
+            "annotation 2: expected a bbox inside its picture",
+        ),
+        (changed(|v| v["annotations"][1]["area"] = json!(-1)), "annotation 2: expected an area"),
+        (changed(|v| v["annotations"][1]["iscrowd"] = json!(2)), "an iscrowd of 0 or 1, got 2"),
+        (changed(|v| v["annotations"][1]["id"] = json!(1)), "annotation 1: expected each id once"),
+        (changed(|v| v["annotations"][1]["image_id"] = json!(8)), "image_id of an image, got 8"),
+        (changed(|v| v["annotations"][1]["category_id"] = json!(8)), "category, got 8"),
+        (changed(|v| v["categories"][1]["id"] = json!(1)), "category 1: expected each id once"),
+        (changed(|v| v["categories"][1]["name"] = json!("a")), "category 2: expected each name"),
+        (changed(|v| v["images"][1]["id"] = json!(7)), "image 7: expected each id once"),
+        (changed(|v| v["images"][0]["width"] = json!(0)), "33554432 pixels, got 0 × 60"),
+        (changed(|v| v["images"][0]["width"] = json!(u32::MAX)), "got 4294967295 × 60"),
+        (changed(|v| v["images"] = json!([])), "images: expected at least one, got none"),
+        (file("b.png"), "`b.png`, which is image 7's"),
+        (file("./b.png"), "a file_name of its own"),
+        (file("../b.png"), "image 7: expected a file_name inside the folder, got `../b.png`"),
+        (file("x/../../b.png"), "inside the folder"),
+        (file("/etc/passwd"), "inside the folder"),
+        (file("."), "inside the folder"),
+        (file(""), "inside the folder"),
+    ];
+    for (value, phrase) in cases {
+        let message = parse(&value).expect_err(phrase);
+        assert!(message.contains(phrase), "no `{phrase}` in: {message}");
+    }
+    // What Python writes, and what is no JSON.
+    for text in ["NaN", "Infinity", "1e999", "{}", "", "\u{0}", "[[[["] {
+        let whole = changed(|_| ()).to_string().replacen("[10,20,30,40]", text, 1);
+        for text in [whole.as_str(), text] {
+            let message = coco::parse(text.as_bytes()).expect_err(text).to_string();
+            assert!(message.starts_with("annotations: expected COCO's JSON"), "{message}");
+        }
+    }
+    let deep = "[".repeat(1 << 20);
+    assert!(coco::parse(deep.as_bytes()).is_err());
+}

@@ -1,0 +1,78 @@
+//! Every operation of the network has a case of its size there, which notices f16.
+
+mod support;
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use smr_gpu::model::{Network, Thresholds, Weights};
+use smr_gpu::ops::{Expected, OPS, Op};
+use smr_gpu::shape::TensorSpec;
+use smr_gpu::tensor::{Tensor, Value};
+use support::gpu;
+
+/// An operation at a size. Its parameters count where they change what is summed.
+fn size_of(op: &dyn Op, inputs: &[&TensorSpec]) -> String {
+    let inputs: Vec<_> = inputs.iter().map(ToString::to_string).collect();
+    let parameters = match op.name() {
+        "conv2d" => format!("{op:?}"),
+        name => name.to_owned(),
+    };
+    format!("{parameters}: {}", inputs.join(", "))
+}
+
+#[test]
+fn every_operation_of_the_network_has_a_case_of_its_size() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("weights/smrnet.safetensors");
+    let weights = Weights::open(&path).expect("the weights");
+    let thresholds = Thresholds { score: 0.05, iou: 0.5, max_detections: 100, class_mask: 3 };
+    let network = Network::new(weights, 1000 * 1000, thresholds).expect("a network");
+    let needed: BTreeSet<String> =
+        network.graph.operations().map(|(op, inputs)| size_of(op, &inputs)).collect();
+    let mut there = BTreeSet::new();
+    for case in OPS.iter().flat_map(|entry| (entry.cases)()).filter(|case| case.network) {
+        let specs: Vec<_> = case.inputs.iter().map(Value::spec).collect();
+        there.insert(size_of(case.op.as_ref(), &specs.iter().collect::<Vec<_>>()));
+    }
+    let missing: Vec<_> = needed.difference(&there).map(String::as_str).collect();
+    assert!(missing.is_empty(), "no case for\n{}", missing.join("\n"));
+}
+
+/// What is left of an input in half precision; `None` if it is no float.
+fn in_half_precision(value: &Value) -> Option<Value> {
+    let tensor = value.f32().ok()?;
+    let half = |i: usize| half::f16::from_f32(tensor.data()[i]).to_f32();
+    Some(Tensor::from_fn(tensor.shape().clone(), half).into())
+}
+
+/// The bounds are tight enough to notice that a kernel keeps one of its operands in f16, at every
+/// size of the network.
+#[test]
+fn an_input_in_half_precision_fails_at_every_size_of_the_network() {
+    let mut failures = Vec::new();
+    let mut tried = 0;
+    for case in OPS.iter().flat_map(|entry| (entry.cases)()).filter(|case| case.network) {
+        // Non-maximum suppression gives choices, which a rounding may well leave as they are.
+        if case.op.name() == "nms" {
+            continue;
+        }
+        let expected = Expected::of(&case).expect("a reference");
+        for (i, name) in case.op.inputs().into_iter().enumerate() {
+            let Some(rounded) = in_half_precision(&case.inputs[i]) else { continue };
+            let mut inputs = case.inputs.clone();
+            inputs[i] = rounded;
+            let report = expected.check_inputs(gpu(), &inputs).expect("a run");
+            tried += 1;
+            if report.failures.is_empty() {
+                let share = report.max_share;
+                failures.push(format!("{} / {} / {name}: {share:.2}", case.op.name(), case.name));
+            }
+        }
+    }
+    assert!(
+        failures.is_empty(),
+        "unnoticed, with the share of the bound:\n{}",
+        failures.join("\n")
+    );
+    assert!(tried > 100, "only {tried}");
+}

@@ -1,0 +1,124 @@
+"""Fits the score's temperature and the stated deviations to pictures with labels, and writes them into a copy of the weight file.
+
+The temperature divides the class logits; it is the one under which the scores of the
+detections that there are at temperature 1 say best how often they are right (least log
+loss; right: right class, overlap of at least half, each snap once). The deviations of yaw and of the centre are multiplied so
+that 68.3 % of the errors lie within one of them: a log variance is an output of
+roi_head.pose, so that goes into its bias. Figures before and after are printed, after on
+the same pictures: others must judge them.
+"""
+
+import argparse
+import math
+import os
+from pathlib import Path
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+os.environ.setdefault("GOMP_SPINCOUNT", "0")
+
+import numpy as np
+import torch
+
+import weightfile
+from data import network_input, normalise, picture_path, read_coco, read_picture
+from metrics import calibration_error, right
+from model import SmrNet, classify, survivors
+
+SHARE = math.erf(math.sqrt(0.5))  # of a normal distribution within one deviation
+
+
+class Looks:
+    """Each picture's regions as the head sees them, and its truth in input pixels."""
+
+    def __init__(self, model: SmrNet, folders: list[Path], limit: int | None):
+        self.config, self.rows = model.config, []
+        for folder in folders:
+            for entry in read_coco(folder)[:limit]:
+                frame = read_picture(picture_path(folder, entry.name))
+                pixels, (x, y) = network_input(frame, self.config.pixels_per_mm * entry.mm_per_pixel)
+                image = normalise(pixels, self.config.mean, self.config.std)[None].contiguous(memory_format=torch.channels_last)
+                proposals, heads = model.regions(image, {})[0]
+                truth = {name: torch.from_numpy(getattr(entry.snaps, name)) for name in ("boxes", "labels", "yaw", "whole")}
+                truth["boxes"] = truth["boxes"] / torch.tensor([x, y, x, y])
+                self.rows.append((proposals, heads, image.shape[2:], truth))
+
+    def detections(self, temperature: float) -> list[tuple[dict, dict, torch.Tensor]]:
+        """Truth, detections and which truth each of them finds."""
+        self.config.temperature = temperature
+        found = []
+        for proposals, heads, size, truth in self.rows:
+            detections = classify(self.config, heads, proposals, size, 0.05, 0.5)
+            found.append((truth, detections, right(truth, detections)))
+        return found
+
+    def scores(self, temperature: float) -> tuple[np.ndarray, np.ndarray]:
+        """Scores and whether they are right, of all detections."""
+        found = self.detections(temperature)
+        return (np.concatenate(parts) for parts in zip(*((d["scores"].numpy(), (f >= 0).numpy()) for _, d, f in found)))
+
+
+    def logits(self) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
+        """Of all detections at temperature 1: the class logits [D, classes + 1], the label [D], whether it is right [D]."""
+        self.config.temperature = 1.0
+        rows = []
+        for proposals, heads, size, truth in self.rows:
+            boxes, scores, labels, regions = survivors(self.config, heads, proposals, size, 0.05, 0.5)
+            hits = right(truth, {"boxes": boxes, "scores": scores, "labels": labels}) >= 0
+            rows.append((heads.scores[regions], labels, hits))
+        logits, labels, hits = (torch.cat(parts) for parts in zip(*rows))
+        return logits, labels, hits.numpy()
+
+
+def log_loss(scores: np.ndarray, hits: np.ndarray) -> float:
+    p = scores.astype(np.float64).clip(1e-6, 1 - 1e-6)
+    return float(-np.where(hits, np.log(p), np.log(1 - p)).mean())
+
+
+def errors(looks: Looks, temperature: float) -> dict[str, np.ndarray]:
+    """|error| over the stated deviation: of whole snaps' yaw, of the centre along x and y; detections above a half that are right."""
+    ratios: dict[str, list] = {"yaw": [], "x": [], "y": []}
+    for truth, detections, found in looks.detections(temperature):
+        for i in torch.where((found >= 0) & (detections["scores"] >= 0.5))[0].tolist():
+            j = int(found[i])
+            shift = (detections["boxes"][i, :2] + detections["boxes"][i, 2:] - truth["boxes"][j, :2] - truth["boxes"][j, 2:]).abs() / 2
+            for axis, name in enumerate("xy"):
+                ratios[name].append(float(shift[axis] / looks.config.pixels_per_mm / detections["centre_std"][i, axis]))
+            if truth["whole"][j] and truth["yaw"][j].isfinite() and detections["yaw"][i].isfinite():
+                turn = (float(detections["yaw"][i]) - float(truth["yaw"][j].rad2deg()) + 180) % 360 - 180
+                ratios["yaw"].append(abs(turn) / float(detections["yaw_std"][i]))
+    return {k: np.array(v) for k, v in ratios.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--weights", type=Path, required=True)
+    parser.add_argument("--data", type=Path, nargs="+", required=True, help="COCO folders that were not trained on")
+    parser.add_argument("--limit", type=int, help="the first pictures of each folder only")
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args()
+    model = weightfile.load(args.weights)
+    looks = Looks(model, args.data, args.limit)
+    grid = np.exp(np.linspace(math.log(0.4), math.log(4), 47))
+    logits, labels, hits = looks.logits()
+    losses = [log_loss((logits / t).softmax(dim=1).gather(1, labels[:, None])[:, 0].numpy(), hits) for t in grid]
+    best = round(float(grid[int(np.argmin(losses))]), 3)
+    for name, t in (("before", 1.0), ("after", best)):
+        scores, hits = looks.scores(t)
+        print(f"{name}: temperature {t}, {len(scores)} detections, log loss {log_loss(scores, hits):.4f}, calibration error {calibration_error(scores, hits):.4f}")
+    if model.config.pose:
+        outputs = {"yaw": 2, "x": 3, "y": 4}
+        for name, ratio in errors(looks, best).items():
+            if len(ratio) < 20:
+                print(f"{name}: expected at least 20 errors, got {len(ratio)}: left as it is")
+                continue
+            factor = float(np.quantile(ratio, SHARE))
+            print(f"{name}: {100 * (ratio <= 1).mean():.1f} % of {len(ratio)} errors within one stated deviation; deviations times {factor:.3f}")
+            with torch.no_grad():
+                model.roi_head.pose.bias[outputs[name]] += 2 * math.log(factor)
+    model.config.temperature = best
+    weightfile.save(model, args.out)
+    print(args.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,39 @@
+"""A small network learns from a large one's fused map, classes and boxes, on the same views and regions."""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+import boxes as bx
+from model import Config, Heads, SmrNet
+
+
+class Distiller(nn.Module):
+    """Its parameters are those of the projection, which only training needs; the teacher's stay as they are."""
+
+    def __init__(self, teacher: SmrNet, student: Config):
+        super().__init__()
+        if teacher.config.classes != student.classes or teacher.config.stride != student.stride:
+            raise SystemExit("the teacher's classes and stride: expected the student's")
+        self.project = nn.Conv2d(student.width, teacher.config.width, 1)
+        # In a list, so that neither the state dict nor train() reaches it.
+        self.teachers = [teacher.eval().requires_grad_(False)]
+
+    def losses(self, images: Tensor, fused: Tensor, rois: list[Tensor], heads: Heads) -> dict[str, Tensor]:
+        (teacher,) = self.teachers
+        with torch.autocast(images.device.type, dtype=torch.bfloat16):
+            with torch.no_grad():
+                wanted = teacher.features(images, {})
+                say = teacher.roi_head(bx.roi_align_dense(wanted, rois, 1 / teacher.config.stride), {})
+            guess = self.project(fused)
+        wanted = wanted.float()
+        probability = say.scores.float().softmax(dim=1)
+        # Boxes only where the teacher sees a snap: elsewhere its boxes mean nothing.
+        best, label = probability[:, 1:].max(dim=1)
+        seen = torch.where(best > 0.5)[0]
+        of = [h.view(len(probability), -1, 4)[seen, label[seen] + 1] for h in (heads.regression, say.regression.float())]
+        return {
+            "map": F.mse_loss(guess.float(), wanted) / wanted.var(),
+            "teacher_class": F.kl_div(heads.scores.log_softmax(dim=1), probability, reduction="batchmean"),
+            "teacher_box": F.smooth_l1_loss(*of, beta=1 / 9, reduction="sum") / len(probability),
+        }

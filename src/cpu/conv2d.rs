@@ -23,14 +23,6 @@ impl ConvShape {
         let padded = self.padding.checked_mul(2)?.checked_add(input)?;
         Some(padded.checked_sub(span)? / self.stride + 1)
     }
-
-    /// Outputs whose tap `k` lies inside `input` pixels.
-    fn inside(&self, k: usize, input: usize, output: usize) -> std::ops::Range<usize> {
-        let shift = k * self.dilation;
-        let first = self.padding.saturating_sub(shift).div_ceil(self.stride);
-        let end = (input + self.padding).saturating_sub(shift).div_ceil(self.stride);
-        first.min(output)..end.min(output)
-    }
 }
 
 /// `output[o] = Σ weight[o, i, ky, kx] · input[i, …] + bias[o] (+ residual[o])`, then ReLU.
@@ -54,49 +46,108 @@ pub fn conv2d(
     if area == 0 {
         return output;
     }
-    let channel = |(o, out): (usize, &mut [f32])| {
-        let mut sums = vec![bias.map_or(0.0, |b| f64::from(b.data()[o])); area];
-        for i in 0..in_c {
-            let plane = &input.data()[i * in_h * in_w..][..in_h * in_w];
-            let taps = &weight.data()[(o * in_c + i) * kh * kw..][..kh * kw];
-            for ky in 0..kh {
-                for kx in 0..kw {
-                    let w = f64::from(taps[ky * kw + kx]);
-                    let columns = shape.inside(kx, in_w, out_w);
-                    if columns.is_empty() {
-                        continue;
-                    }
-                    for oy in shape.inside(ky, in_h, out_h) {
-                        let iy = oy * shape.stride + ky * shape.dilation - shape.padding;
-                        let ix = columns.start * shape.stride + kx * shape.dilation - shape.padding;
-                        let row = &plane[iy * in_w + ix..(iy + 1) * in_w];
-                        let sums = &mut sums[oy * out_w..][columns.clone()];
-                        accumulate(sums, row, shape.stride, w);
-                    }
-                }
-            }
-        }
+    let padded = Padded::new(input, shape, [kh, kw]);
+    output.data_mut().par_chunks_mut(area).enumerate().for_each(|(o, out)| {
+        let taps = &weight.data()[o * in_c * kh * kw..][..in_c * kh * kw];
+        let first = bias.map_or(0.0, |b| f64::from(b.data()[o]));
+        let sums = shared::vectorised(|| padded.sums(taps, first, [out_h, out_w]));
         let rest = residual.map(|r| &r.data()[o * area..][..area]);
         for (at, (out, sum)) in out.iter_mut().zip(&sums).enumerate() {
             let value = sum + rest.map_or(0.0, |r| f64::from(r[at]));
             *out = if relu { shared::relu(value) } else { value } as f32;
         }
-    };
-    let channels = output.data_mut().par_chunks_mut(area).enumerate();
-    channels.for_each(|part| shared::vectorised(|| channel(part)));
+    });
     output
 }
 
-/// `sums[i] += w · row[i · stride]`, with stride 1 apart so that it becomes vector code.
-#[inline(always)]
-fn accumulate(sums: &mut [f64], row: &[f32], stride: usize, w: f64) {
-    if stride == 1 {
-        for (sum, x) in sums.iter_mut().zip(row) {
-            *sum += w * f64::from(*x);
+/// An input with its zeros on each side, in f64.
+struct Padded {
+    shape: ConvShape,
+    kernel: [usize; 2],
+    /// Length of a row.
+    width: usize,
+    /// Elements of a channel: its rows, and zeros behind them as far as a tap reaches.
+    plane: usize,
+    values: Vec<f64>,
+}
+
+impl Padded {
+    fn new(input: &Tensor, shape: ConvShape, kernel: [usize; 2]) -> Self {
+        let [channels, height, width] = [0, 1, 2].map(|i| input.dims()[i]);
+        let wide = width + 2 * shape.padding;
+        let plane = (height + 2 * shape.padding) * wide + kernel[1] * shape.dilation;
+        let mut values = vec![0.0; channels * plane];
+        for (row, from) in input.data().chunks_exact(width).enumerate() {
+            let (channel, y) = (row / height, row % height);
+            let at = channel * plane + (y + shape.padding) * wide + shape.padding;
+            for (to, from) in values[at..at + width].iter_mut().zip(from) {
+                *to = f64::from(*from);
+            }
         }
-    } else {
-        for (sum, x) in sums.iter_mut().zip(row.iter().step_by(stride)) {
-            *sum += w * f64::from(*x);
+        Self { shape, kernel, width: wide, plane, values }
+    }
+
+    /// `first + Σ taps · input` of one output channel: channel by channel, tap by tap.
+    #[inline(always)]
+    fn sums(&self, taps: &[f32], first: f64, [out_h, out_w]: [usize; 2]) -> Vec<f64> {
+        let ConvShape { stride, dilation, .. } = self.shape;
+        let [kh, kw] = self.kernel;
+        let mut sums = Vec::with_capacity(out_h * out_w);
+        // Rows whose sums stay in the first-level cache.
+        let rows = (ROW_BLOCK / self.width).max(1);
+        let mut block = vec![0.0; rows * self.width];
+        for top in (0..out_h).step_by(rows) {
+            let rows = rows.min(out_h - top);
+            block.fill(first);
+            for (row, weights) in taps.chunks_exact(kw).enumerate() {
+                let (channel, ky) = (row / kh, row % kh);
+                let at = (top * stride + ky * dilation) * self.width;
+                let from = &self.values[channel * self.plane + at..(channel + 1) * self.plane];
+                if stride == 1 {
+                    // All rows in one go; the sums behind each row's outputs are not used.
+                    let wanted = (rows - 1) * self.width + out_w;
+                    add_taps(&mut block[..wanted], from, dilation, weights);
+                    continue;
+                }
+                for (row, sums) in block.chunks_exact_mut(self.width).take(rows).enumerate() {
+                    for (kx, weight) in weights.iter().enumerate() {
+                        let from = &from[row * stride * self.width + kx * dilation..];
+                        let weight = f64::from(*weight);
+                        for (sum, x) in sums[..out_w].iter_mut().zip(from.iter().step_by(stride)) {
+                            *sum += weight * x;
+                        }
+                    }
+                }
+            }
+            for row in block.chunks_exact(self.width).take(rows) {
+                sums.extend_from_slice(&row[..out_w]);
+            }
+        }
+        sums
+    }
+}
+
+/// Sums that are kept at a time: 16 KiB.
+const ROW_BLOCK: usize = 2048;
+
+/// `sums[i] += Σ weights[k] · from[i + k · dilation]`, tap by tap; three taps share a pass over the
+/// sums.
+#[inline(always)]
+fn add_taps(sums: &mut [f64], from: &[f64], dilation: usize, weights: &[f32]) {
+    let (threes, rest) = weights.as_chunks::<3>();
+    let wanted = sums.len();
+    let shifted = |k: usize| &from[k * dilation..][..wanted];
+    for (three, weights) in threes.iter().enumerate() {
+        let [a, b, c] = [0, 1, 2].map(|k| shifted(3 * three + k));
+        let [u, v, w] = weights.map(f64::from);
+        for (i, sum) in sums.iter_mut().enumerate() {
+            *sum = *sum + u * a[i] + v * b[i] + w * c[i];
+        }
+    }
+    for (k, weight) in rest.iter().enumerate() {
+        let weight = f64::from(*weight);
+        for (sum, x) in sums.iter_mut().zip(&from[(3 * threes.len() + k) * dilation..]) {
+            *sum += weight * x;
         }
     }
 }

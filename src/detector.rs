@@ -9,6 +9,7 @@ use image::DynamicImage;
 use crate::comparison::{self, ChoiceComparison, Shift, StageComparison, Values};
 use crate::error::{Error, Result};
 use crate::gpu::{AdapterChoice, Gpu, GpuOptions, Plan, PlanOptions, StageTime, TensorId};
+use crate::host::HostPlan;
 use crate::model::{ModelConfig, Network, Thresholds, Weights};
 use crate::ops::Crop;
 use crate::tensor::{Tensor, Value};
@@ -26,8 +27,10 @@ const MAX_DETECTIONS: usize = 100;
 pub enum Device {
     /// A GPU, or a software adapter that acts as one.
     Gpu(AdapterChoice),
-    /// The f64 reference on the CPU's cores.
+    /// This machine's CPU, in f32.
     Cpu,
+    /// The f64 reference, to which the others are held; slow.
+    Reference,
 }
 
 impl Default for Device {
@@ -39,18 +42,19 @@ impl Default for Device {
 impl std::str::FromStr for Device {
     type Err = Error;
 
-    /// `auto`, `cpu`, an adapter's index, or part of its name.
+    /// `auto`, `cpu`, `reference`, an adapter's index, or part of its name.
     ///
     /// # Errors
     /// [`Error::Param`] for a blank, which is part of every name.
     fn from_str(text: &str) -> Result<Self> {
         Ok(match text.trim() {
             "" => {
-                let expected = "`auto`, `cpu`, an adapter's index or part of its name";
+                let expected = "`auto`, `cpu`, `reference`, an adapter's index or part of its name";
                 return Err(Error::param("detect", "device", expected, format!("`{text}`")));
             }
             "auto" => Self::default(),
             "cpu" => Self::Cpu,
+            "reference" => Self::Reference,
             other => Self::Gpu(match other.parse() {
                 Ok(index) => AdapterChoice::Index(index),
                 Err(_) => AdapterChoice::Name(other.into()),
@@ -245,7 +249,8 @@ struct Engine {
 #[derive(Debug)]
 enum Runner {
     Gpu { gpu: Arc<Gpu>, plan: Box<Plan> },
-    Cpu,
+    Host(Box<HostPlan>),
+    Reference,
 }
 
 impl GpuDetector {
@@ -289,7 +294,11 @@ impl GpuDetector {
         let thresholds = config.thresholds(&model)?;
         let network = Network::new(weights.clone(), FIRST_CAPACITY, thresholds)?;
         let (runner, adapter) = match &config.device {
-            Device::Cpu => (Runner::Cpu, "CPU reference (f64)".to_owned()),
+            Device::Reference => (Runner::Reference, "CPU reference (f64)".to_owned()),
+            Device::Cpu => {
+                let plan = host_plan(&network, &config)?;
+                (Runner::Host(plan), "CPU (f32)".to_owned())
+            }
             Device::Gpu(choice) => {
                 let options = GpuOptions {
                     adapter: choice.clone(),
@@ -353,8 +362,8 @@ impl GpuDetector {
     /// # Errors
     /// As [`GpuDetector::detect`]; [`Error::Param`] without `keep_stages` or a GPU.
     pub fn compare(&self, picture: &DynamicImage) -> Result<Comparison> {
-        if self.config.device == Device::Cpu {
-            return Err(Error::param("compare", "device", "a GPU", "the CPU reference itself"));
+        if !matches!(self.config.device, Device::Gpu(_)) {
+            return Err(Error::param("compare", "device", "a GPU", "the CPU"));
         }
         self.check_keeps_stages()?;
         let frame = Frame::new(picture)?;
@@ -414,10 +423,8 @@ impl GpuDetector {
         let Engine { network, runner, .. } = engine;
         let inputs = frame.inputs(network);
         match runner {
-            Runner::Cpu => {
-                let keep = if self.config.keep_stages { network.graph.computed() } else { vec![] };
-                network.graph.reference(&inputs, &keep)
-            }
+            Runner::Reference => network.graph.reference(&inputs, &kept(network, &self.config)),
+            Runner::Host(plan) => plan.run(&network.graph, &inputs),
             Runner::Gpu { plan, .. } => {
                 let run = plan.run(&inputs)?;
                 Ok((run.values, run.stages))
@@ -434,8 +441,12 @@ impl GpuDetector {
         let capacity = pixels.max((2 * engine.capacity).min(MAX_PIXELS));
         let thresholds = self.config.thresholds(&self.model)?;
         let network = Network::new(engine.weights.clone(), capacity, thresholds)?;
-        if let Runner::Gpu { gpu, plan: old } = &mut engine.runner {
-            **old = pollster::block_on(plan(gpu, &network, &self.config))?;
+        match &mut engine.runner {
+            Runner::Gpu { gpu, plan: old } => {
+                **old = pollster::block_on(plan(gpu, &network, &self.config))?;
+            }
+            Runner::Host(old) => *old = host_plan(&network, &self.config)?,
+            Runner::Reference => {}
         }
         engine.network = network;
         engine.capacity = capacity;
@@ -444,9 +455,17 @@ impl GpuDetector {
 }
 
 async fn plan(gpu: &Arc<Gpu>, network: &Network, config: &Config) -> Result<Plan> {
-    let keep = if config.keep_stages { network.graph.computed() } else { Vec::new() };
-    let recording = network.graph.record(&keep)?;
+    let recording = network.graph.record(&kept(network, config))?;
     Plan::new(gpu, &recording, PlanOptions::default()).await
+}
+
+fn host_plan(network: &Network, config: &Config) -> Result<Box<HostPlan>> {
+    Ok(Box::new(HostPlan::new(&network.graph, &kept(network, config))?))
+}
+
+/// The tensors that a run gives back beside the outputs.
+fn kept(network: &Network, config: &Config) -> Vec<TensorId> {
+    if config.keep_stages { network.graph.computed() } else { Vec::new() }
 }
 
 /// A picture as the network takes it, and where its square lies.

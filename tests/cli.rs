@@ -65,7 +65,7 @@ fn wrong_command_lines_are_usage_errors() {
         (&["eval", "--data", ".", "--limit", "0"], "--limit"),
         (&["eval", "--data", ".", "--limit", "4294967296"], "--limit"),
         (&["eval", "--data", ".", "--conf", "NaN"], "expected a number from 0 to 1"),
-        (&["check", "--device", "cpu"], "expected a GPU"),
+        (&["check", "--device", "reference"], "expected a GPU"),
     ];
     for (arguments, phrase) in cases {
         let ran = run(folder.path(), arguments).expect(2).tells(phrase);
@@ -181,7 +181,7 @@ fn without_an_adapter_the_cpu_detects() {
     let ran = run_without_adapter(folder.path(), &["detect", "x.png", "--json"]).expect(0);
     let told = ran.told();
     assert!(told.len() == 1 && told[0].contains("`mesa-vulkan-drivers`"), "{told:?}");
-    assert_eq!(ran.json()[0]["adapter"], "CPU reference (f64)");
+    assert_eq!(ran.json()[0]["adapter"], "CPU (f32)");
 }
 
 /// Good and bad pictures of every sort, in one folder, and how each bad one is refused.

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use image::DynamicImage;
 use smr_gpu::comparison::relative_l2;
 use smr_gpu::gpu::{Gpu, GpuOptions, Plan, PlanOptions};
+use smr_gpu::host::HostPlan;
 use smr_gpu::model::{ModelConfig, Network, Thresholds, Variant, Weights};
 use smr_gpu::ops::Crop;
 use smr_gpu::sensor::dataset;
@@ -46,7 +47,7 @@ fn stages_match_pytorch() {
     let bytes = std::fs::read(file("tests/fixtures/stages.safetensors")).expect("the fixture");
     let golden = safetensors::SafeTensors::deserialize(&bytes).expect("the fixture's tensors");
     let picture = image::open(file("tests/fixtures/stages.png")).expect("the fixture's picture");
-    for device in [Device::default(), Device::Cpu] {
+    for device in [Device::default(), Device::Cpu, Device::Reference] {
         let size = golden.tensor("pixels").expect("pixels").shape()[2];
         let detector = detector(device.clone(), |c| c.input_size = Some(size));
         let (found, stages) = detector.detect_with_stages(&picture).expect("a detection");
@@ -248,6 +249,8 @@ fn every_variant_matches_its_reference_and_pytorch() {
         let options = PlanOptions { guard: true, ..PlanOptions::default() };
         let plan = Plan::new(support::gpu(), &recording, options);
         let got = pollster::block_on(plan).expect("a plan").run(&inputs).expect("a run").values;
+        let mut plan = HostPlan::new(graph, &keep).expect("a plan");
+        let (host, _) = plan.run(graph, &inputs).expect("a run");
         for (name, rows) in [
             ("rpn.cls", None),
             ("rpn.bbox", None),
@@ -258,7 +261,7 @@ fn every_variant_matches_its_reference_and_pytorch() {
         ] {
             let found = keep.iter().find(|id| graph.name(**id) == name);
             let id = found.unwrap_or_else(|| panic!("{variant:?} has no {name}"));
-            let [gpu, cpu] = [&got, &want].map(|v| v[id].f32().expect("floats"));
+            let [gpu, cpu, host] = [&got, &want, &host].map(|v| v[id].f32().expect("floats"));
             let row: usize = gpu.dims()[1..].iter().product();
             let n = rows.map_or(gpu.data().len(), |r: usize| r * row);
             let view = golden.tensor(&format!("{label}/{name}")).expect("a golden tensor");
@@ -268,6 +271,7 @@ fn every_variant_matches_its_reference_and_pytorch() {
                 ("GPU and reference", gpu.data(), cpu.data()),
                 ("GPU and PyTorch", gpu.data(), &pytorch),
                 ("reference and PyTorch", cpu.data(), &pytorch),
+                ("CPU and PyTorch", host.data(), &pytorch),
             ];
             for (pair, a, b) in pairs {
                 let error = relative_l2(&a[..n], &b[..n]);

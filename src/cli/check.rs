@@ -1,14 +1,14 @@
 //! `smr-gpu check`: holds a device's operations to their references.
 
 use smr_gpu::gpu::{Gpu, GpuOptions};
-use smr_gpu::ops::{self, Entry};
-use std::sync::Arc;
+use smr_gpu::ops::{self, Case, Entry, Report};
+use smr_gpu::{Device, host};
 
 use super::detector::{DeviceArgs, gpu_only};
 use super::exit::{Exit, Failure, exit_of};
 use super::output::{line, tell};
 
-/// Hold each operation's shader to its reference on this machine
+/// Hold each operation's kernel to its reference on this machine
 ///
 /// Runs the library's cases: hand-computed ones, edges and prime sizes, on poisoned and guarded
 /// buffers. Prints for each operation its number of cases and the largest error as a share of its
@@ -31,26 +31,37 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         let known = known.join(", ");
         return Err(Failure::usage(format!("operation: expected one of {known}; got `{name}`")));
     }
-    let adapter = gpu_only(&args.device.device)?.clone();
-    let options = GpuOptions { adapter, ..GpuOptions::default() };
-    let gpu = pollster::block_on(Gpu::open(options))?;
-    tell(format!("{} ({})", gpu.info().name, gpu.info().backend));
+    let run: Box<Run> = match &args.device.device {
+        Device::Cpu => {
+            tell("CPU (f32)");
+            Box::new(host::check)
+        }
+        other => {
+            let options = GpuOptions { adapter: gpu_only(other)?.clone(), ..GpuOptions::default() };
+            let gpu = pollster::block_on(Gpu::open(options))?;
+            tell(format!("{} ({})", gpu.info().name, gpu.info().backend));
+            Box::new(move |case| ops::check(&gpu, case))
+        }
+    };
     line(format!("{:<20}  {:>5}  {:>14}", "operation", "cases", "error / bound"))?;
     let mut exit = Exit::Done;
     for entry in entries {
-        if !check(&gpu, entry)? {
+        if !check(&run, entry)? {
             exit = Exit::Inputs;
         }
     }
     Ok(exit)
 }
 
+/// Runs a case and holds it to its reference.
+type Run = dyn Fn(&Case) -> smr_gpu::Result<Report>;
+
 /// Checks one operation; `false` if a case failed.
-fn check(gpu: &Arc<Gpu>, entry: &Entry) -> Result<bool, Failure> {
+fn check(run: &Run, entry: &Entry) -> Result<bool, Failure> {
     let cases = (entry.cases)();
     let (mut share, mut failures) = (0.0_f64, Vec::new());
     for case in &cases {
-        match ops::check(gpu, case) {
+        match run(case) {
             Ok(report) => {
                 share = share.max(report.max_share);
                 failures.extend(report.failures);

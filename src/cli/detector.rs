@@ -20,8 +20,8 @@ const WEIGHTS_VARIABLE: &str = "SMR_GPU_WEIGHTS";
 #[derive(Debug, clap::Args)]
 pub(super) struct DeviceArgs {
     /// The adapter: its index in `smr-gpu devices`, part of its name, `auto` for the fastest kind,
-    /// or `cpu` for the f64 reference.
-    #[arg(long, default_value = "auto", value_name = "auto|cpu|INDEX|NAME")]
+    /// `cpu` for this machine's cores, or `reference` for the f64 reference, which is slow.
+    #[arg(long, default_value = "auto", value_name = "auto|cpu|reference|INDEX|NAME")]
     pub device: Device,
 }
 
@@ -140,16 +140,16 @@ pub(super) fn open_gpu(device: &Device) -> Result<Option<Arc<Gpu>>, Failure> {
 pub(super) fn gpu_only(device: &Device) -> Result<&AdapterChoice, Failure> {
     match device {
         Device::Gpu(choice) => Ok(choice),
-        Device::Cpu => Err(Failure::usage(
-            "--device: expected a GPU to hold to the CPU's reference, got `cpu`",
-        )),
+        Device::Cpu | Device::Reference => {
+            Err(Failure::usage("--device: expected a GPU to hold to the reference, got the CPU"))
+        }
     }
 }
 
 fn tell_no_adapter(found: &str) {
     tell(format!(
         "no GPU adapter ({found}); the package `mesa-vulkan-drivers` brings one; going on with the \
-         CPU reference"
+         CPU"
     ));
 }
 

@@ -46,7 +46,8 @@ impl Kernel for Resize {
                     for (j, weight) in weights.iter().enumerate() {
                         let start = ((crop.y + first + j) * crop.width + crop.x) * RGBA;
                         let row = &bytes[start..][..crop.side * RGBA];
-                        for (sums, pixel) in line.chunks_exact_mut(RGBA).zip(row.chunks_exact(RGBA)) {
+                        for (sums, pixel) in line.chunks_exact_mut(RGBA).zip(row.chunks_exact(RGBA))
+                        {
                             for c in 0..RGBA {
                                 sums[c] += weight * (f32::from(pixel[c]) - level[c]);
                             }

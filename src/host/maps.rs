@@ -23,7 +23,8 @@ impl Kernel for Gates {
         outputs[0].par_chunks_mut(run).zip(parts).for_each(|(out, (input, spatial))| {
             vectorised(|| {
                 let pixels = out.chunks_exact_mut(self.channels);
-                for ((out, input), s) in pixels.zip(input.chunks_exact(self.channels)).zip(spatial) {
+                for ((out, input), s) in pixels.zip(input.chunks_exact(self.channels)).zip(spatial)
+                {
                     for ((out, x), gate) in out.iter_mut().zip(input).zip(gate) {
                         *out = x * (gate * s);
                     }
@@ -41,7 +42,8 @@ pub(super) struct Sum;
 impl Kernel for Sum {
     fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
         let weights = inputs[0].f32()?;
-        let maps: Vec<&[f32]> = inputs[1..].iter().map(|map| map.f32()).collect::<Result<_, _>>()?;
+        let maps: Vec<&[f32]> =
+            inputs[1..].iter().map(|map| map.f32()).collect::<Result<_, _>>()?;
         const PART: usize = 16 * 1024;
         outputs[0].par_chunks_mut(PART).enumerate().for_each(|(i, out)| {
             vectorised(|| {
@@ -93,9 +95,8 @@ impl Bilinear {
 impl Kernel for Bilinear {
     fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
         let input = inputs[0].f32()?;
-        let pixel = |y: usize, x: usize| {
-            &input[(y * self.width + x) * self.channels..][..self.channels]
-        };
+        let pixel =
+            |y: usize, x: usize| &input[(y * self.width + x) * self.channels..][..self.channels];
         let row = self.columns.len() * self.channels;
         outputs[0].par_chunks_mut(row).zip(&self.rows).for_each(|(out, y)| {
             vectorised(|| {

@@ -106,8 +106,7 @@ fn kernel(
 }
 
 /// Inputs that are known when the network is built; the others change with each picture.
-const WEIGHTS: [&str; 6] =
-    ["weight", "bias", "fc1_weight", "fc1_bias", "fc2_weight", "fc2_bias"];
+const WEIGHTS: [&str; 6] = ["weight", "bias", "fc1_weight", "fc1_bias", "fc2_weight", "fc2_bias"];
 
 /// Runs `case` by this module's kernels and holds it to the reference.
 ///

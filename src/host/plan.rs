@@ -144,7 +144,8 @@ impl HostPlan {
                     let missing = || Error::tensor("cpu", &names[id.0], spec, "nothing");
                     match places.get(version).ok_or_else(missing)? {
                         Place::Given => {
-                            let value = inputs.iter().find(|(i, _)| *i == id).ok_or_else(missing)?;
+                            let value =
+                                inputs.iter().find(|(i, _)| *i == id).ok_or_else(missing)?;
                             Ok(match value.1 {
                                 Value::F32(t) => Data::F32(t.data()),
                                 Value::U32(t) => Data::U32(t.data()),
@@ -331,7 +332,8 @@ fn place(
     let mut free: Vec<usize> = Vec::new();
     let mut take = |places: &mut HashMap<Version, Place>, free: &mut Vec<usize>, v: Version| {
         let need = specs[v.tensor.0].shape.elements();
-        let best = (0..free.len()).filter(|i| sizes[free[*i]] >= need).min_by_key(|i| sizes[free[*i]]);
+        let best =
+            (0..free.len()).filter(|i| sizes[free[*i]] >= need).min_by_key(|i| sizes[free[*i]]);
         let slot = match best {
             Some(at) => free.swap_remove(at),
             None => {

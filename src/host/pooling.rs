@@ -64,15 +64,13 @@ impl Kernel for Windows {
 #[derive(Debug)]
 pub(super) struct OverSpace {
     channels: usize,
-    pixels: usize,
     with_maximum: bool,
 }
 
 impl OverSpace {
-    /// `with_maximum`: a second row of maxima behind the means.
+    /// `with_maximum`: a second row of maxima behind the means. Maps may differ in size.
     pub fn new(input: &TensorSpec, with_maximum: bool) -> Self {
-        let [channels, height, width] = [0, 1, 2].map(|i| input.shape.0[i]);
-        Self { channels, pixels: height * width, with_maximum }
+        Self { channels: input.shape.0[0], with_maximum }
     }
 
     fn reduce(&self, input: &[f32], means: &mut [f32], maxima: &mut [f32]) {
@@ -104,8 +102,9 @@ impl OverSpace {
                 *out = larger(*out, *most);
             }
         }
+        let pixels = (input.len() / channels) as f64;
         for (mean, total) in means.iter_mut().zip(total) {
-            *mean = (total / self.pixels as f64) as f32;
+            *mean = (total / pixels) as f32;
         }
     }
 }
@@ -113,9 +112,10 @@ impl OverSpace {
 impl Kernel for OverSpace {
     fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
         let mut unused = vec![0.0; self.channels];
-        for (map, out) in inputs.iter().zip(outputs[0].chunks_exact_mut(
-            self.channels * if self.with_maximum { 2 } else { 1 },
-        )) {
+        for (map, out) in inputs
+            .iter()
+            .zip(outputs[0].chunks_exact_mut(self.channels * if self.with_maximum { 2 } else { 1 }))
+        {
             let (means, maxima) = out.split_at_mut(self.channels);
             let maxima = if self.with_maximum { maxima } else { &mut unused };
             self.reduce(map.f32()?, means, maxima);

@@ -5,6 +5,8 @@
 //! Networks", 2016, §4.3): output = Aᵀ [ (G g Gᵀ) ⊙ (Bᵀ d B) ] A, where the elementwise product
 //! over all channels is 36 matrix products.
 
+use std::array::from_fn;
+
 use rayon::prelude::*;
 
 use super::conv2d::{Epilogue, MapShape};
@@ -56,10 +58,8 @@ const A: [[f64; IN]; OUT] = [
 /// T m Tᵀ.
 fn both_sides<const R: usize>(t: &[[f64; IN]; R], m: &[[f64; IN]; IN]) -> [[f64; R]; R] {
     let dot = |a: &[f64; IN], b: [f64; IN]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let half: [[f64; IN]; R] = std::array::from_fn(|r| {
-        std::array::from_fn(|x| dot(&t[r], std::array::from_fn(|y| m[y][x])))
-    });
-    std::array::from_fn(|r| std::array::from_fn(|c| dot(&t[c], half[r])))
+    let half: [[f64; IN]; R] = from_fn(|r| from_fn(|x| dot(&t[r], from_fn(|y| m[y][x]))));
+    from_fn(|r| from_fn(|c| dot(&t[c], half[r])))
 }
 
 type Lanes = [f32; LANES];
@@ -139,9 +139,7 @@ impl Winograd {
                 }
             }
             for o in 0..out_c {
-                let m = std::array::from_fn(|y| {
-                    std::array::from_fn(|x| products[(y * IN + x) * out_c + o])
-                });
+                let m = from_fn(|y| from_fn(|x| products[(y * IN + x) * out_c + o]));
                 for (y, row) in both_sides(&A, &m).iter().enumerate() {
                     for (x, sum) in row.iter().enumerate() {
                         if top + y < out_h && left + x < out_w {
@@ -179,8 +177,7 @@ impl Winograd {
             // Whole rows of tiles, so that each block's outputs are a slice.
             let rows = (BLOCK / tile_columns).max(1);
             let block = rows * tile_columns;
-            let scratch =
-                || (vec![0.0; POINTS * block * in_c], vec![0.0; POINTS * block * out_c]);
+            let scratch = || (vec![0.0; POINTS * block * in_c], vec![0.0; POINTS * block * out_c]);
             output.par_chunks_mut(rows * OUT * out_w * out_c).enumerate().for_each_init(
                 scratch,
                 |(points, sums), (index, output)| {
@@ -253,24 +250,18 @@ impl Winograd {
         let columns = self.tiles().1;
         let (top, left) = (tile / columns * OUT, tile % columns * OUT);
         for c in (0..in_c).step_by(LANES) {
-            let mut half = [[[0.0; LANES]; IN]; IN];
-            for x in 0..IN {
-                let mut d = [[0.0; LANES]; IN];
-                for (y, d) in d.iter_mut().enumerate() {
-                    // One row and column of zeros on each side; wraps below zero.
-                    let (iy, ix) = ((top + y).wrapping_sub(1), (left + x).wrapping_sub(1));
-                    if iy < in_h && ix < in_w {
-                        let from = &input[(iy * in_w + ix) * in_c + c..][..LANES];
-                        d.copy_from_slice(from);
-                    }
+            // One row and column of zeros on each side; wraps below zero.
+            let load = |y: usize, x: usize| -> Lanes {
+                let (y, x) = ((top + y).wrapping_sub(1), (left + x).wrapping_sub(1));
+                let mut lanes = [0.0; LANES];
+                if y < in_h && x < in_w {
+                    lanes.copy_from_slice(&input[(y * in_w + x) * in_c + c..][..LANES]);
                 }
-                let t = input_transform(&d);
-                for y in 0..IN {
-                    half[y][x] = t[y];
-                }
-            }
-            for (y, row) in half.iter().enumerate() {
-                for (x, value) in input_transform(row).iter().enumerate() {
+                lanes
+            };
+            let columns: [[Lanes; IN]; IN] = from_fn(|x| input_transform(&from_fn(|y| load(y, x))));
+            for (y, row) in rows_of(&columns).enumerate() {
+                for (x, value) in input_transform(&row).iter().enumerate() {
                     let at = ((y * IN + x) * count + to) * in_c + c;
                     points[at..at + LANES].copy_from_slice(value);
                 }
@@ -312,20 +303,16 @@ impl Winograd {
         let rows = output.len() / (out_w * out_c);
         for column in 0..self.tiles().1 {
             for o in (0..out_c).step_by(LANES) {
-                let mut half = [[[0.0; LANES]; IN]; OUT];
-                for x in 0..IN {
-                    let mut m = [[0.0; LANES]; IN];
-                    for (y, m) in m.iter_mut().enumerate() {
-                        let at = ((y * IN + x) * count + first + column) * out_c + o;
-                        m.copy_from_slice(&sums[at..at + LANES]);
-                    }
-                    let t = output_transform(&m);
-                    for y in 0..OUT {
-                        half[y][x] = t[y];
-                    }
-                }
-                for (y, row) in half.iter().enumerate().take(rows) {
-                    let values = output_transform(row);
+                let load = |y: usize, x: usize| -> Lanes {
+                    let at = ((y * IN + x) * count + first + column) * out_c + o;
+                    let mut lanes = [0.0; LANES];
+                    lanes.copy_from_slice(&sums[at..at + LANES]);
+                    lanes
+                };
+                let columns: [[Lanes; OUT]; IN] =
+                    from_fn(|x| output_transform(&from_fn(|y| load(y, x))));
+                for (y, row) in rows_of(&columns).enumerate().take(rows) {
+                    let values = output_transform(&row);
                     for (x, value) in values.iter().enumerate().take(out_w - column * OUT) {
                         let at = (y * out_w + column * OUT + x) * out_c + o;
                         let residual = residual.map(|r| &r[at..at + LANES]);
@@ -335,6 +322,14 @@ impl Winograd {
             }
         }
     }
+}
+
+/// The rows of a tile that is given by columns.
+#[inline(always)]
+fn rows_of<const R: usize, const C: usize>(
+    columns: &[[Lanes; R]; C],
+) -> impl Iterator<Item = [Lanes; C]> {
+    (0..R).map(|y| from_fn(|x| columns[x][y]))
 }
 
 /// Bᵀ d.

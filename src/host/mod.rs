@@ -75,10 +75,10 @@ fn kernel(
         return Ok(Some(Box::new(pooling::Windows::new(*op, &inputs[0], &outputs[0]))));
     }
     if any.is::<ChannelPool>() {
-        return Ok(Some(Box::new(pooling::OverSpace::new(&inputs[0], true))));
+        return Ok(Some(Box::new(pooling::OverSpace::new(inputs, true))));
     }
     if any.is::<GlobalAvgPool>() {
-        return Ok(Some(Box::new(pooling::OverSpace::new(&inputs[0], false))));
+        return Ok(Some(Box::new(pooling::OverSpace::new(inputs, false))));
     }
     if any.is::<SpatialPool>() {
         return Ok(Some(Box::new(pooling::OverChannels::new(&inputs[0]))));

@@ -63,18 +63,20 @@ impl Kernel for Windows {
 /// Mean, and maximum if wanted, of each channel over space, of one or several maps.
 #[derive(Debug)]
 pub(super) struct OverSpace {
-    channels: usize,
+    /// Channels of each map.
+    channels: Vec<usize>,
     with_maximum: bool,
 }
 
 impl OverSpace {
-    /// `with_maximum`: a second row of maxima behind the means. Maps may differ in size.
-    pub fn new(input: &TensorSpec, with_maximum: bool) -> Self {
-        Self { channels: input.shape.0[0], with_maximum }
+    /// `with_maximum`: a second row of maxima behind the means.
+    pub fn new(inputs: &[TensorSpec], with_maximum: bool) -> Self {
+        Self { channels: inputs.iter().map(|map| map.shape.0[0]).collect(), with_maximum }
     }
 
-    fn reduce(&self, input: &[f32], means: &mut [f32], maxima: &mut [f32]) {
-        let channels = self.channels;
+    /// Of one map; `maxima` may be empty.
+    fn reduce(input: &[f32], means: &mut [f32], maxima: &mut [f32]) {
+        let channels = means.len();
         // Partial sums and maxima of runs of pixels, in parallel; then their sum in order.
         let runs: Vec<(Vec<f32>, Vec<f32>)> = input
             .par_chunks(RUN * channels)
@@ -111,14 +113,13 @@ impl OverSpace {
 
 impl Kernel for OverSpace {
     fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
-        let mut unused = vec![0.0; self.channels];
-        for (map, out) in inputs
-            .iter()
-            .zip(outputs[0].chunks_exact_mut(self.channels * if self.with_maximum { 2 } else { 1 }))
-        {
-            let (means, maxima) = out.split_at_mut(self.channels);
-            let maxima = if self.with_maximum { maxima } else { &mut unused };
-            self.reduce(map.f32()?, means, maxima);
+        let mut rest = &mut *outputs[0];
+        for (map, channels) in inputs.iter().zip(&self.channels) {
+            let (means, behind) = rest.split_at_mut(*channels);
+            let maxima = if self.with_maximum { *channels } else { 0 };
+            let (maxima, behind) = behind.split_at_mut(maxima);
+            Self::reduce(map.f32()?, means, maxima);
+            rest = behind;
         }
         Ok(())
     }

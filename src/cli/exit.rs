@@ -65,7 +65,7 @@ impl Failure {
 impl From<files::Error> for Failure {
     fn from(error: files::Error) -> Self {
         let exit = match error {
-            files::Error::Input { .. } => Exit::Usage,
+            files::Error::Spared { .. } => Exit::Usage,
             _ => Exit::Output,
         };
         Self::new(exit, error)

@@ -8,8 +8,8 @@ use super::output::tell;
 
 /// Shown below `--help`.
 pub(super) const HELP: &str = "\
-Exit codes: 0 done, 1 some inputs failed, 2 usage, 3 weights, 4 no device, 5 device lost or timed \
-out, 6 some output could not be written, 141 stdout's reader went away";
+Exit codes: 0 done, 1 some inputs or checks failed, 2 usage, 3 weights, 4 no device, 5 device lost \
+or timed out, 6 some output could not be written, 141 stdout's reader went away";
 
 /// How the program ends; of two that came up on the way, the greater counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

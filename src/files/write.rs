@@ -87,10 +87,10 @@ impl Outputs {
     }
 }
 
-/// Whether [`write`] may write here.
+/// Whether [`write()`] may write here.
 ///
 /// # Errors
-/// As [`write`], but for what only writing shows.
+/// As [`write()`], but for what only writing shows.
 pub fn check(path: &Path) -> Result<(), Error> {
     replaced(path).map(drop)
 }

@@ -67,7 +67,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     if params.len() < args.params.len() {
         return Err(Failure::usage("--param: expected each key once, got one several times"));
     }
-    let files = Outputs::sparing([input]);
+    let mut files = Outputs::sparing([input]);
     files.check(output)?;
     let mut tensors = tensors::read(input)?;
     let present: Vec<&str> = tensors.keys().map(String::as_str).collect();
@@ -78,7 +78,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         .map_err(|e| Failure::new(Exit::Inputs, format!("{}: {e}", input.display())))?;
     let outputs = compute(op.as_ref(), &inputs, &args.device.device)?;
     let named = op.outputs().into_iter().zip(&outputs);
-    tensors::write(&files, output, named, HashMap::new())?;
+    tensors::write(&mut files, output, named, HashMap::new())?;
     Ok(Exit::Done)
 }
 

@@ -201,3 +201,20 @@ fn another_threshold_is_found() {
     assert!(!outcome.detections.failures.is_empty(), "{:?}", outcome.detections);
     assert_eq!(outcome.proposals.failures, [""; 0]);
 }
+
+/// Whatever a broken device returns for counts and indices is a failure and no panic.
+#[test]
+fn counts_and_indices_of_any_size_are_found() {
+    let run = Run::new();
+    let mut device = run.healthy.clone();
+    let mut altered = Vec::new();
+    for (id, value) in device.iter_mut().filter(|(_, value)| value.u32().is_ok()) {
+        integers(value).fill(u32::MAX);
+        altered.push(run.network.graph.name(*id).to_owned());
+    }
+    // A copy of the classes, and a right one.
+    altered.retain(|name| name != "detections.labels");
+    assert!(altered.len() >= 8, "{altered:?}");
+    let failing = failing(&run.compare(&device));
+    assert!(altered.iter().all(|name| failing.contains(name)), "{altered:?}, but {failing:?}");
+}

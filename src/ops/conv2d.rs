@@ -202,9 +202,7 @@ impl Op for Conv2d {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        let specs: Vec<_> = inputs.iter().map(|v| v.spec()).collect();
-        self.infer(&specs)?;
+    fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let (input, weight, bias, residual) = self.split(inputs);
         let bias = bias.map(|v| v.f32()).transpose()?;
         let residual = residual.map(|v| v.f32()).transpose()?;

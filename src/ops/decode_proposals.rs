@@ -149,8 +149,7 @@ impl Op for DecodeProposals {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        let specs = self.infer(&inputs.iter().map(|v| v.spec()).collect::<Vec<_>>())?;
+    fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let (deltas, logits, indices) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].u32()?);
         let count = live(Some(inputs[3]), logits.data().len())?;
         let extent = [self.width as f32, self.height as f32];

@@ -180,6 +180,19 @@ fn cases() -> Vec<Case> {
             ],
         )
         .by_hand(vec![values([2], &[0.5, 1.0])]),
+        // Before the ReLU, once for each vector: (1 + 1/2) + (2 + 1/2) = 4, times ln 3 / 4.
+        Case::new(
+            "the first layer's bias by hand",
+            ChannelGate,
+            vec![
+                values([2, 1], &[1.0, 2.0]),
+                values([1, 1], &[1.0]),
+                values([1], &[0.5]),
+                values([1, 1], &[half_ln3 / 2.0]),
+                values([1], &[0.0]),
+            ],
+        )
+        .by_hand(vec![values([1], &[0.75])]),
         // sigmoid(±1e4) and of ±1e30: 0 and 1, no NaN.
         Case::new(
             "saturated by hand",

@@ -152,6 +152,16 @@ fn cases() -> Vec<Case> {
             vec![values([1, 3, 3], &[-1.0, -2.0, -3.0, -4.0, -9.0, -6.0, -7.0, -8.0, -5.0])],
         )
         .by_hand(vec![values([1, 2, 2], &[-1.0, -2.0, -4.0, -5.0])]),
+        // Windows (1, 5, 0, 3) and (5, 2, 3, 4), then the second channel's.
+        Case::new(
+            "two channels, not square, by hand",
+            op(2, 1, 0),
+            vec![values(
+                [2, 2, 3],
+                &[1.0, 5.0, 2.0, 0.0, 3.0, 4.0, -9.0, -8.0, -3.0, -6.0, -5.0, -4.0],
+            )],
+        )
+        .by_hand(vec![values([2, 1, 2], &[5.0, 5.0, -5.0, -3.0])]),
         // An infinity is no NaN: −∞ loses, ∞ wins.
         Case::new(
             "infinities by hand",

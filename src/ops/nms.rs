@@ -349,16 +349,37 @@ fn cases() -> Vec<Case> {
             &[0, 1, 0, 0],
             2,
         ),
-        // Neighbours share 7 of 13, the ends 4 of 16: a box that is dropped drops no other.
+        // Far from the origin. Neighbours share 7 of 13, the ends 4 of 16: a box that is dropped drops no
+        // other.
         by_hand(
             "a chain by hand",
             half,
             vec![
-                values([3, 4], &[0.0, 0.0, 10.0, 10.0, 0.0, 3.0, 10.0, 13.0, 0.0, 6.0, 10.0, 16.0]),
+                values(
+                    [3, 4],
+                    &[100.0, 50.0, 110.0, 60.0, 100.0, 53.0, 110.0, 63.0, 100.0, 56.0, 110.0, 66.0],
+                ),
                 ranks(3),
             ],
             &[0, 2, 0],
             2,
+        ),
+        // The first two share 7 · 9 of 200 − 63, less than half; the small ones lie apart.
+        by_hand(
+            "shifted both ways, and apart, by hand",
+            half,
+            vec![
+                values(
+                    [4, 4],
+                    &[
+                        3.0, 0.0, 13.0, 10.0, 0.0, 1.0, 10.0, 11.0, 20.0, 30.0, 20.5, 30.5, 21.0,
+                        31.0, 21.5, 31.5,
+                    ],
+                ),
+                ranks(4),
+            ],
+            &[0, 1, 2, 3],
+            4,
         ),
         // NaN is above no score. Of two equal boxes with equal scores the first stays.
         by_hand(

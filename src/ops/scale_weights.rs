@@ -180,6 +180,19 @@ fn cases() -> Vec<Case> {
             logits(2.0, &[1.0, 9.0, -1.0, 9.0], &[0.0, 4.0 + ln2]),
         )
         .by_hand(vec![values([2], &[1.0 / 3.0, 2.0 / 3.0])]),
+        // x = 1 hides (1 + 1/2, −1 + 2): logits ln 2 / 1.5 · 1.5, ln 5 · 1 and 0, weights 2 : 5 : 1.
+        Case::new(
+            "the first layer's bias by hand",
+            ScaleWeights,
+            vec![
+                values([1], &[1.0]),
+                values([2, 1], &[1.0, -1.0]),
+                values([2], &[0.5, 2.0]),
+                values([3, 2], &[ln2 / 1.5, 0.0, 0.0, 5f32.ln(), 0.0, 0.0]),
+                values([3], &[0.0; 3]),
+            ],
+        )
+        .by_hand(vec![values([3], &[0.25, 0.625, 0.125])]),
         Case::new(
             "logits of ±1e4 by hand",
             ScaleWeights,

@@ -160,6 +160,13 @@ fn cases() -> Vec<Case> {
             [1, 3, 5],
             &[1.0, 1.4, 2.0, 3.2, 4.0, 4.5, 6.3, 9.0, 14.4, 18.0, 8.0, 11.2, 16.0, 25.6, 32.0],
         )]),
+        // Each row twice, each channel by itself.
+        Case::new(
+            "two channels by hand",
+            to(2, 2),
+            vec![values([2, 1, 2], &[0.0, 8.0, 100.0, 108.0])],
+        )
+        .by_hand(vec![values([2, 2, 2], &[0.0, 8.0, 0.0, 8.0, 100.0, 108.0, 100.0, 108.0])]),
         // Every second pixel between two, as there is no antialiasing: 6 to 3 looks at 1/2, 5/2,
         // 9/2.
         Case::new(

@@ -2,7 +2,7 @@
 
 use std::error::Error;
 
-use smr_gpu::{Config, GpuDetector};
+use smr_gpu::{Config, GpuDetector, picture};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let file = std::env::args().nth(1).ok_or("expected a picture's file name")?;
@@ -11,7 +11,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     config.score = 0.5;
     let detector = GpuDetector::new(config)?;
 
-    let found = detector.detect(&image::open(file)?)?;
+    let found = detector.detect(&picture::read(file)?)?;
     for snap in &found.detections {
         let [x, y] = snap.center_mm;
         println!("{} at {x:+.2} mm, {y:+.2} mm, score {:.2}", snap.class, snap.score);

@@ -6,10 +6,10 @@
 //! non-maximum suppression, is a WGSL compute shader; a picture takes one submit and one readback.
 //!
 //! ```no_run
-//! use smr_gpu::{Config, GpuDetector};
+//! use smr_gpu::{Config, GpuDetector, picture};
 //!
 //! let detector = GpuDetector::new(Config::new("weights/smrnet.safetensors"))?;
-//! let picture = image::open("image.png")?;
+//! let picture = picture::read("image.png")?;
 //! for snap in detector.detect(&picture)?.detections {
 //!     println!("{} {:.2} at {:?} mm", snap.class, snap.score, snap.center_mm);
 //! }

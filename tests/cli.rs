@@ -483,7 +483,7 @@ fn no_input_is_overwritten() {
     }
     assert!(path("links/soft-2.png").exists());
     let ran = run(folder.path(), &["detect", "soft.png", "--dump-stages", "links/soft.png"]);
-    ran.expect(2).tells("got one of the inputs");
+    ran.expect(2).tells("expected a file that is no input");
     assert_eq!(fs::read(path("soft.png")).expect("a picture"), original);
 
     fs::write(path("annotations.json"), "mine").expect("written");

@@ -1,13 +1,21 @@
 //! What the operations' cases are for: faults in a shader that one of them must notice.
 
-mod support;
-
 #[path = "support/mutate.rs"]
 mod mutate;
 
-use smr_gpu::gpu::Replacement;
+use std::sync::{Arc, OnceLock};
+
+use smr_gpu::gpu::{Gpu, GpuOptions, Replacement};
 use smr_gpu::ops::{Expected, find};
-use support::gpu;
+
+/// A device with bounds checks: what a fault reads or writes outside is defined.
+fn gpu() -> &'static Arc<Gpu> {
+    static DEVICE: OnceLock<Arc<Gpu>> = OnceLock::new();
+    DEVICE.get_or_init(|| {
+        let options = GpuOptions { checked: true, ..GpuOptions::default() };
+        pollster::block_on(Gpu::open(options)).expect("a Vulkan adapter")
+    })
+}
 
 /// A fault, and the case that notices it.
 struct Fault {
@@ -136,6 +144,157 @@ const FAULTS: &[Fault] = &[
         changes: &[("select(x, vec4<f32>(0.0), x < vec4<f32>(0.0))", "max(x, vec4<f32>(0.0))")],
         op: "conv2d",
         case: "a NaN goes through the ReLU",
+        by_hand: true,
+    },
+    Fault {
+        what: "room for 1023 hidden units",
+        file: "channel_gate",
+        changes: &[("CAPACITY: u32 = 1024u", "CAPACITY: u32 = 1023u")],
+        op: "channel_gate",
+        case: "the last of 1024 hidden units by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "room for 1023 hidden units",
+        file: "scale_weights",
+        changes: &[("CAPACITY: u32 = 1024u", "CAPACITY: u32 = 1023u")],
+        op: "scale_weights",
+        case: "the last of 1024 hidden units by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "the deviations of width and height exchanged",
+        file: "decode_detections",
+        changes: &[
+            ("params.weight_width", "params.weight_height"),
+            ("params.weight_height,\n    );", "params.weight_width,\n    );"),
+        ],
+        op: "decode_detections",
+        case: "four weights by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "the means of red and green exchanged",
+        file: "crop_resize",
+        changes: &[("params.shift_r, params.shift_g", "params.shift_g, params.shift_r")],
+        op: "crop_resize",
+        case: "each channel its mean and deviation, by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "the least height holds for the width",
+        file: "nms",
+        changes: &[("box.z - box.x >= params.min_size", "box.w - box.y >= params.min_size")],
+        op: "nms",
+        case: "least width and height by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "boxes of the least width are too small",
+        file: "nms",
+        changes: &[("box.z - box.x >= params.min_size", "box.z - box.x > params.min_size")],
+        op: "nms",
+        case: "least width and height by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "a dropped box drops others",
+        file: "nms",
+        changes: &[
+            ("if (out & (1u << bit)) == 0u {", "if true {"),
+            (
+                "survivors |= 1u << bit;",
+                "survivors |= select(1u << bit, 0u, (out & (1u << bit)) != 0u);",
+            ),
+        ],
+        op: "nms",
+        case: "a chain by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "the first layer's bias subtracted",
+        file: "channel_gate",
+        changes: &[("dot + fc1_bias[row]", "dot - fc1_bias[row]")],
+        op: "channel_gate",
+        case: "the first layer's bias by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "the first layer's bias subtracted",
+        file: "scale_weights",
+        changes: &[("dot + fc1_bias[row]", "dot - fc1_bias[row]")],
+        op: "scale_weights",
+        case: "the first layer's bias by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "every second channel with the weights of the one before",
+        file: "conv2d",
+        changes: &[("n1 = fma(n, vec4<f32>(u.y), n1)", "n1 = fma(n, vec4<f32>(u.x), n1)")],
+        op: "conv2d",
+        case: "two channels to three by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "channels as far apart as a square",
+        file: "max_pool2d",
+        changes: &[(
+            "channel * params.in_height * params.in_width",
+            "channel * params.in_height * params.in_height",
+        )],
+        op: "max_pool2d",
+        case: "two channels, not square, by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "the first channel for all",
+        file: "upsample_bilinear",
+        changes: &[("(channel * params.in_height + y.low)", "(y.low)")],
+        op: "upsample_bilinear",
+        case: "two channels by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "clipped to a square",
+        file: "decode_proposals",
+        changes: &[(
+            "params.picture_width, params.picture_height",
+            "params.picture_width, params.picture_width",
+        )],
+        op: "decode_proposals",
+        case: "clipped on all sides by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "a box's upper edge for its left one",
+        file: "shared/boxes",
+        changes: &[("max(a.xy, b.xy)", "max(a.yy, b.xy)")],
+        op: "nms",
+        case: "shifted both ways, and apart, by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "boxes that lie apart overlap by a pixel",
+        file: "shared/boxes",
+        changes: &[("max(a.xy, b.xy), vec2<f32>(0.0)", "max(a.xy, b.xy), vec2<f32>(-1.0)")],
+        op: "nms",
+        case: "shifted both ways, and apart, by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "a box to the left of the picture keeps a negative corner",
+        file: "shared/boxes",
+        changes: &[("clamp(centre + half, vec2<f32>(0.0)", "clamp(centre + half, vec2<f32>(-1.0)")],
+        op: "decode_proposals",
+        case: "outside the picture by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "an area that grows with the distance from the origin",
+        file: "shared/boxes",
+        changes: &[("rounded(b.z - b.x, zero)", "rounded(b.z + b.x, zero)")],
+        op: "nms",
+        case: "a chain by hand",
         by_hand: true,
     },
 ];

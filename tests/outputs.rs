@@ -155,6 +155,10 @@ fn no_tensors_replace_an_input() {
     }
     assert!(contents(folder.path()) == before);
     op("out").expect(0);
+    // Nor the picture that the same run has drawn.
+    let both = detect(folder.path(), &["x.png", "--save", "drawn", "--dump-stages", "drawn/x.png"]);
+    both.expect(2).tells("drawn/x.png: expected a file that is no input or other output");
+    image::open(path("drawn/x.png")).expect("the drawn picture");
 }
 
 #[test]

@@ -1,10 +1,14 @@
 //! Reading pictures, whole and damaged, and how their names are shown.
 
+#[path = "support/program.rs"]
+mod program;
+
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use image::{DynamicImage, GenericImageView, Rgb};
+use program::{Ran, run};
 use smr_gpu::picture::{self, decode, read};
 
 fn stored(name: &str) -> Vec<u8> {
@@ -542,16 +546,6 @@ mod paths {
     }
 }
 
-/// Runs `detect` in a folder; exit code, stdout and stderr.
-fn detect(folder: &Path, arguments: &[&str]) -> (Option<i32>, String, String) {
-    let weights = concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors");
-    let mut command = Command::new(env!("CARGO_BIN_EXE_smr-gpu"));
-    command.current_dir(folder).env("SMR_GPU_WEIGHTS", weights).stdin(Stdio::null());
-    let output = command.arg("detect").args(arguments).output().expect("the program runs");
-    let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
-    (output.status.code(), text(output.stdout), text(output.stderr))
-}
-
 #[cfg(unix)]
 #[test]
 fn odd_names_and_entries_of_a_folder() {
@@ -564,8 +558,7 @@ fn odd_names_and_entries_of_a_folder() {
     fs::create_dir(path("folder.png")).expect("created");
     assert!(Command::new("mkfifo").arg(path("pipe.png")).status().expect("mkfifo").success());
 
-    let (code, stdout, stderr) = detect(folder.path(), &["."]);
-    assert_eq!(code, Some(1), "{stderr}");
+    let Ran { stdout, stderr, .. } = run(folder.path(), &["detect", "."]).expect(1);
     let shown = r"./fine\u{1b}[31m\nsmr-gpu: done\u{202e}.png  no snaps";
     assert!(stdout.lines().any(|l| l == shown), "{stdout}");
     for line in [
@@ -579,12 +572,10 @@ fn odd_names_and_entries_of_a_folder() {
     assert!(!raw(&stdout) && !raw(&stderr), "{stdout}{stderr}");
 
     // Two arguments that are nothing do not end the third; JSON has the name as it is.
-    let (code, stdout, _) = detect(folder.path(), &["[", "folder.png", good, "--json"]);
-    assert_eq!(code, Some(1));
-    let record: serde_json::Value = serde_json::from_str(&stdout).expect("one record");
+    let ran = run(folder.path(), &["detect", "[", "folder.png", good, "--json"]).expect(1);
+    let [record] = &ran.json()[..] else { panic!("one record: {}", ran.stdout) };
     assert_eq!(record["file"], good);
 
-    let (code, _, stderr) = detect(folder.path(), &["--\u{202e}x"]);
-    assert_eq!(code, Some(2));
-    assert!(!raw(&stderr) && stderr.contains(r"--\u{202e}x"), "{stderr}");
+    let ran = run(folder.path(), &["detect", "--\u{202e}x"]).expect(2).tells(r"--\u{202e}x");
+    assert!(!raw(&ran.stderr), "{}", ran.stderr);
 }

@@ -77,4 +77,6 @@ step tests cargo test --locked --release
 step overflow cargo test --locked --release --lib --test cli \
     --config profile.release.package.smr-gpu.overflow-checks=true \
     --config profile.release.package.smr-gpu.debug-assertions=true
+# Under its name there is the program with those checks now: put the other one back.
+cargo build --locked --release
 step shaders "$smr_gpu" check

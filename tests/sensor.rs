@@ -442,6 +442,24 @@ fn a_broken_calibration_names_its_file() {
     let error = calibrate::calibrate(folder.path()).expect_err("a field is missing");
     assert!(matches!(error, Error::Content { .. }), "{error}");
     assert!(error.to_string().contains("press_00.png,1,2"), "{error}");
+    // A hole: it takes no space.
+    let table = std::fs::File::create(folder.path().join("presses.csv")).expect("a file");
+    table.set_len(1 << 25).expect("long");
+    let error = calibrate::calibrate(folder.path()).expect_err("a long table").to_string();
+    assert!(
+        error.contains("presses.csv: expected at most 16777216 bytes, got 33554432"),
+        "{error}"
+    );
+    #[cfg(unix)]
+    {
+        let picture = folder.path().join("background.png");
+        std::fs::remove_file(&picture).expect("removed");
+        let made = std::process::Command::new("mkfifo").arg(&picture).status().expect("mkfifo");
+        assert!(made.success());
+        // Opening it would wait for a writer.
+        let error = calibrate::calibrate(folder.path()).expect_err("a pipe").to_string();
+        assert!(error.contains("background.png: expected a file, got a named pipe"), "{error}");
+    }
 
     let yaml = folder.path().join("x.yaml");
     std::fs::write(&yaml, "quadfit: \n    rows: 6\n    cols: 10\n    values: [1, 2]\n")

@@ -168,10 +168,6 @@ fn compute(op: &dyn Op, inputs: &[Value]) {
     if announced.iter().any(|spec| spec.shape.elements() > 4 * MAX_ELEMENTS) {
         return;
     }
-    // Values that a shader would take on trust are checked first, wherever it runs.
-    if op.check_values(&inputs).is_err() {
-        return;
-    }
     let Ok(outputs) = op.reference(&inputs) else { return };
     let got: Vec<_> = outputs.iter().map(Value::spec).collect();
     assert_eq!(got, announced, "{op:?} with {specs:?}");

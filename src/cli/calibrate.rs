@@ -11,7 +11,7 @@ use smr_gpu::sensor::calibrate::{
 };
 
 use super::exit::{Exit, Failure};
-use super::output::{line, tell};
+use super::output::{count, line, tell};
 
 /// Compare the simulated sensor with real presses of a ball
 ///
@@ -42,7 +42,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         None => Vec::new(),
     };
     let report = calibrate::calibrate(&args.presses).map_err(unreadable)?;
-    let outputs = Outputs::sparing(report.files.iter().chain(&sensors));
+    let mut outputs = Outputs::sparing(report.files.iter().chain(&sensors));
     for file in args.save.iter().chain(&args.write) {
         outputs.check(file)?;
     }
@@ -75,7 +75,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         let text = serde_json::to_string(&fitted)
             .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", path.display())))?;
         outputs.write(path, text.as_bytes())?;
-        tell(format!("{}: {} sensors", path.display(), fitted.len()));
+        tell(format!("{}: {}", path.display(), count(fitted.len(), "sensor")));
     }
     Ok(Exit::Done)
 }

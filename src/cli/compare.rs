@@ -8,9 +8,10 @@ use smr_gpu::{Comparison, GpuDetector};
 
 use super::detector::{DetectorArgs, fraction, gpu_only};
 use super::exit::{Exit, Failure};
-use super::output::{json_line, line, tell};
+use super::output::{count, json_line, line, tell};
 use super::picture;
-use super::source::{Source, expand_all};
+use super::printable::printable;
+use super::source::{Source, column_width, expand_all};
 
 /// Hold the whole network to its f64 reference on pictures
 ///
@@ -170,8 +171,8 @@ fn report(comparison: &Comparison) -> Result<(), Failure> {
     let (found, expected) = (&comparison.found.detections, &comparison.expected.detections);
     let shift = comparison.shift;
     line(format!(
-        "{} snaps, the reference {}; scores within {:.1e}, corners within {:.1e} px, {:.1e} mm",
-        found.len(),
+        "{}, the reference {}; scores within {:.1e}, corners within {:.1e} px, {:.1e} mm",
+        count(found.len(), "snap"),
         expected.len(),
         shift.score,
         shift.pixels,
@@ -184,7 +185,7 @@ fn report(comparison: &Comparison) -> Result<(), Failure> {
 }
 
 fn heading(sources: &[Source]) -> Result<(), Failure> {
-    let width = width(sources);
+    let width = column_width(sources);
     let [file, error, bias, drift] = ["file", "error", "bias", "drift"];
     line(format!(
         "{file:width$}  {error:>7}  {bias:>7}  {drift:>7}  snaps  {:>7}  {:>7}  {:>7}  rounding",
@@ -197,7 +198,7 @@ fn summary(source: &Source, sources: &[Source], comparison: &Comparison) -> Resu
     let verdict = if comparison.failures().next().is_some() { "  FAILED" } else { "" };
     line(format!(
         "{:w$}  {:>7.4}  {:>7.4}  {:>7.1e}  {:>5}  {:>7.1e}  {:>7.1e}  {:>7.1e}  {:>8}{verdict}",
-        source.to_string(),
+        printable(source),
         comparison.share(),
         comparison.bias(),
         comparison.drift(),
@@ -206,11 +207,6 @@ fn summary(source: &Source, sources: &[Source], comparison: &Comparison) -> Resu
         shift.pixels,
         comparison.shift_mm,
         comparison.excused().count(),
-        w = width(sources)
+        w = column_width(sources)
     ))
-}
-
-fn width(sources: &[Source]) -> usize {
-    let longest = sources.iter().map(|s| s.to_string().chars().count()).max();
-    longest.unwrap_or(0).clamp(4, 48)
 }

@@ -13,9 +13,9 @@ use smr_gpu::{Detections, GpuDetector, WeightSource};
 use super::detector::{self, DetectorArgs, fraction};
 use super::draw::{Artist, Gallery};
 use super::exit::{Exit, Failure};
-use super::output::{json_line, line, tell};
+use super::output::{count, json_line, line, tell};
 use super::printable::printable;
-use super::source::{Source, expand_all};
+use super::source::{Source, column_width, expand_all};
 use super::{picture, tensors};
 
 /// Find the snaps in pictures
@@ -152,7 +152,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             exit = exit.max(told(gallery.save(&mut outputs, source, &drawn)));
         }
         if let Some(file) = &args.dump_stages {
-            exit = exit.max(told(dump(&outputs, file, &detector, source, &stages)));
+            exit = exit.max(told(dump(&mut outputs, file, &detector, source, &stages)));
         }
         pictures += 1;
         snaps += found.detections.len();
@@ -185,7 +185,7 @@ fn look(
 
 /// Writes the stages' tensors.
 fn dump(
-    outputs: &Outputs,
+    outputs: &mut Outputs,
     file: &Path,
     detector: &GpuDetector,
     source: &Source,
@@ -229,10 +229,6 @@ fn ms(time: Duration) -> f64 {
     time.as_secs_f64() * 1e3
 }
 
-fn count(n: usize, noun: &str) -> String {
-    format!("{n} {noun}{}", if n == 1 { "" } else { "s" })
-}
-
 /// The table for people: a line a snap, or one for a picture without.
 struct Table {
     file_width: usize,
@@ -240,8 +236,7 @@ struct Table {
 
 impl Table {
     fn new(sources: &[Source]) -> Self {
-        let longest = sources.iter().map(|s| printable(s).chars().count()).max();
-        Self { file_width: longest.unwrap_or(0).clamp(4, 48) }
+        Self { file_width: column_width(sources) }
     }
 
     fn heading(&self) -> Result<(), Failure> {

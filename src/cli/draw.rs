@@ -124,7 +124,7 @@ impl Gallery {
     }
 
     /// Writes a drawn picture under its source's name as PNG, with a number where that name is
-    /// taken; from then on `outputs` spares it.
+    /// taken.
     ///
     /// # Errors
     /// [`Exit::Output`].
@@ -143,9 +143,7 @@ impl Gallery {
         picture
             .write_to(&mut png, ImageFormat::Png)
             .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", path.display())))?;
-        outputs.write(&path, png.get_ref())?;
-        outputs.spare(&path);
-        Ok(())
+        Ok(outputs.write(&path, png.get_ref())?)
     }
 
     /// A name for a file that may be written: an earlier run's picture is replaced.
@@ -159,7 +157,7 @@ impl Gallery {
             };
             let path = self.folder.join(name);
             match outputs.check(&path) {
-                Err(files::Error::Input { .. } | files::Error::NotReplaceable { .. }) => {}
+                Err(files::Error::Spared { .. } | files::Error::NotReplaceable { .. }) => {}
                 other => return other.map(|()| path),
             }
         }

@@ -15,7 +15,7 @@ use smr_gpu::{Detections, GpuDetector};
 
 use super::detector::{self, DetectorArgs, fraction};
 use super::exit::{Exit, Failure};
-use super::output::{json_line, line, tell};
+use super::output::{count, json_line, line, tell};
 use super::picture;
 use super::source::Source;
 
@@ -319,9 +319,12 @@ fn print(report: &Report) -> Result<(), Failure> {
         false => "",
     };
     tell(format!(
-        "{} pictures on {}, {:.3} s each; IoU, centre errors and false boxes of detections above a \
+        "{} on {}, {:.3} s each; IoU, centre errors and false boxes of detections above a \
          score of {}, average precision above {LEAST_SCORE}{paper}",
-        report.pictures, report.adapter, report.seconds_per_picture, report.conf
+        count(report.pictures, "picture"),
+        report.adapter,
+        report.seconds_per_picture,
+        report.conf
     ));
     Ok(())
 }

@@ -8,8 +8,8 @@ use super::output::tell;
 
 /// Shown below `--help`.
 pub(super) const HELP: &str = "\
-Exit codes: 0 done, 1 some inputs failed, 2 usage, 3 weights, 4 no device, 5 device lost or timed \
-out, 6 some output could not be written, 141 stdout's reader went away";
+Exit codes: 0 done, 1 some inputs or checks failed, 2 usage, 3 weights, 4 no device, 5 device lost \
+or timed out, 6 some output could not be written, 141 stdout's reader went away";
 
 /// How the program ends; of two that came up on the way, the greater counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -65,7 +65,7 @@ impl Failure {
 impl From<files::Error> for Failure {
     fn from(error: files::Error) -> Self {
         let exit = match error {
-            files::Error::Input { .. } => Exit::Usage,
+            files::Error::Spared { .. } => Exit::Usage,
             _ => Exit::Output,
         };
         Self::new(exit, error)

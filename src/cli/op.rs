@@ -67,7 +67,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     if params.len() < args.params.len() {
         return Err(Failure::usage("--param: expected each key once, got one several times"));
     }
-    let files = Outputs::sparing([input]);
+    let mut files = Outputs::sparing([input]);
     files.check(output)?;
     let mut tensors = tensors::read(input)?;
     let present: Vec<&str> = tensors.keys().map(String::as_str).collect();
@@ -78,7 +78,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         .map_err(|e| Failure::new(Exit::Inputs, format!("{}: {e}", input.display())))?;
     let outputs = compute(op.as_ref(), &inputs, &args.device.device)?;
     let named = op.outputs().into_iter().zip(&outputs);
-    tensors::write(&files, output, named, HashMap::new())?;
+    tensors::write(&mut files, output, named, HashMap::new())?;
     Ok(Exit::Done)
 }
 
@@ -113,15 +113,15 @@ fn take_inputs(op: &dyn Op, tensors: &mut BTreeMap<String, Value>) -> Result<Vec
 }
 
 fn compute(op: &dyn Op, inputs: &[Value], device: &Device) -> Result<Vec<Value>, Failure> {
-    let specs: Vec<_> = inputs.iter().map(Value::spec).collect();
+    let values: Vec<_> = inputs.iter().collect();
     // The CPU path has no device to refuse a size that no memory holds.
-    let needed = op.infer(&specs)?.iter().map(|s| s.bytes()).max().unwrap_or(0);
+    let needed = op.check(&values)?.iter().map(|s| s.bytes()).max().unwrap_or(0);
     if needed > MAX_OUTPUT_BYTES {
         let what = format!("{}: bytes for an output", op.name());
         return Err(Error::Capacity { what, needed, available: MAX_OUTPUT_BYTES }.into());
     }
     Ok(match open_gpu(device)? {
         Some(gpu) => case::run_op(&gpu, op, inputs)?,
-        None => op.reference(&inputs.iter().collect::<Vec<_>>())?,
+        None => op.reference(&values)?,
     })
 }

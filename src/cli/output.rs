@@ -45,6 +45,11 @@ pub(super) fn to_stdout(write: impl FnOnce() -> std::io::Result<()>) -> Result<(
     })
 }
 
+/// A number of things, in words.
+pub(super) fn count(n: usize, noun: &str) -> String {
+    format!("{n} {noun}{}", if n == 1 { "" } else { "s" })
+}
+
 /// Writes a JSON value as one line to stdout; JSON escapes what it must by itself.
 ///
 /// # Errors

@@ -13,7 +13,7 @@ use smr_gpu::sensor::render::Request;
 use smr_gpu::sensor::scene::Mix;
 
 use super::exit::{Exit, Failure};
-use super::output::tell;
+use super::output::{self, tell};
 
 /// Simulate pictures of snaps pressed into the sensor's gel
 ///
@@ -176,10 +176,11 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     bar.finish_and_clear();
     let summary = result.map_err(|error| Failure::new(exit_of(&error), error))?;
     tell(format!(
-        "{}: {count} pictures ({} new), {} snaps",
+        "{}: {} ({} new), {}",
         settings.out.join("annotations.json").display(),
+        output::count(settings.count, "picture"),
         summary.rendered,
-        summary.snaps
+        output::count(summary.snaps, "snap")
     ));
     Ok(Exit::Done)
 }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::exit::{Exit, Failure};
 use super::output::tell;
+use super::printable::printable;
 
 /// Endings of the picture files that are taken from a folder.
 const ENDINGS: [&str; 6] = ["png", "jpg", "jpeg", "bmp", "tif", "tiff"];
@@ -55,6 +56,12 @@ pub(super) fn expand_all(arguments: &[PathBuf]) -> Result<(Vec<Source>, Exit), F
         return Err(Failure::usage("`-`: expected once, got it several times"));
     }
     Ok((sources, exit))
+}
+
+/// Characters of the column of a table that names the sources; longer names push their line.
+pub(super) fn column_width(sources: &[Source]) -> usize {
+    let longest = sources.iter().map(|s| printable(s).chars().count()).max();
+    longest.unwrap_or(0).clamp(4, 48)
 }
 
 /// The pictures that an argument names: a file itself, a folder's pictures sorted by name, what a

@@ -59,9 +59,9 @@ fn indices<T: Copy + TryInto<u32> + std::fmt::Display>(values: Vec<T>) -> Result
 /// Writes tensors as F32 and U32.
 ///
 /// # Errors
-/// [`Exit::Usage`] for an input that `outputs` spares, else [`Exit::Output`].
+/// [`Exit::Usage`] for a file that `outputs` spares, else [`Exit::Output`].
 pub(super) fn write<'a>(
-    outputs: &Outputs,
+    outputs: &mut Outputs,
     path: &Path,
     tensors: impl IntoIterator<Item = (&'a str, &'a Value)>,
     metadata: HashMap<String, String>,

@@ -122,21 +122,21 @@ fn an_output_scaled_by_a_hair_is_found() {
         "input",
         "backbone.conv1",
         "backbone.layer1.1.conv2",
+        "backbone.layer3.2.conv1",
+        "backbone.layer4",
+        "fusion.branch3.conv",
         "fusion.branch3",
         "fusion.fused",
         "rpn.cls",
         "rpn.bbox",
         "roi_head.pool",
+        "roi_head.fc6",
         "roi_head.fc7",
         "roi_head.cls_score",
         "roi_head.bbox_pred",
         "roi_head.probabilities",
     ];
     run.finds("scaled by 1.0001", &tensors, by(1.0001));
-    // Bounds are wider where sums are long, and a bias shows less where few pixels are left.
-    let long =
-        ["backbone.layer3.2.conv1", "backbone.layer4", "fusion.branch3.conv", "roi_head.fc6"];
-    run.finds("scaled by 1.001", &long, by(1.001));
 }
 
 #[test]
@@ -168,10 +168,18 @@ fn one_wrong_element_is_found() {
     Run::new().finds("one element off", &tensors, |value| floats(value)[5] += 0.001);
 }
 
-/// The largest weight of each layer is 1 % larger on the device.
+/// The largest weight of each layer is 1 % larger on the device. That of `cls_score` is for a unit
+/// of fc7 that is zero in every region of this picture, so not a bit changes, and nothing can be
+/// found: the largest that a unit of this picture meets is changed in its place.
 #[test]
 fn a_changed_weight_is_found() {
-    let layers = ["backbone.conv1", "rpn.cls", "roi_head.fc7"];
+    let run = Run::new();
+    let graph = &run.network.graph;
+    let fc7 = graph.computed().into_iter().find(|id| graph.name(*id) == "roi_head.fc7");
+    let fc7 = run.healthy[&fc7.expect("fc7")].f32().expect("floats");
+    let units = fc7.dims()[1];
+    let is_live = |unit: usize| fc7.data().iter().skip(unit).step_by(units).any(|x| *x != 0.0);
+    let layers = ["backbone.conv1", "rpn.cls", "roi_head.fc7", "roi_head.cls_score"];
     let mut changed = bytes();
     let (header, metadata) = safetensors::SafeTensors::read_metadata(&changed).expect("a header");
     for layer in layers {
@@ -180,13 +188,13 @@ fn a_changed_weight_is_found() {
         let range = 8 + header + info.data_offsets.0..8 + header + info.data_offsets.1;
         let weights: Vec<half::f16> = bytemuck::pod_collect_to_vec(&changed[range.clone()]);
         let size = |i: &usize| weights[*i].to_f32().abs();
-        let largest = (0..weights.len()).max_by(|a, b| size(a).total_cmp(&size(b)));
+        let counts = |i: &usize| layer != "roi_head.cls_score" || is_live(i % units);
+        let largest = (0..weights.len()).filter(counts).max_by(|a, b| size(a).total_cmp(&size(b)));
         let largest = largest.expect("weights");
         let value = half::f16::from_f32(weights[largest].to_f32() * 1.01);
         assert_ne!(value, weights[largest]);
         changed[range][2 * largest..][..2].copy_from_slice(&value.to_le_bytes());
     }
-    let run = Run::new();
     let device = run.run(&network(&changed, 0.5), |_, _| ());
     assert_eq!(failing(&run.compare(&device)), layers);
 }
@@ -200,4 +208,21 @@ fn another_threshold_is_found() {
     assert_eq!(failing(&outcome), ["roi_head.nms.keep", "detections.count"]);
     assert!(!outcome.detections.failures.is_empty(), "{:?}", outcome.detections);
     assert_eq!(outcome.proposals.failures, [""; 0]);
+}
+
+/// Whatever a broken device returns for counts and indices is a failure and no panic.
+#[test]
+fn counts_and_indices_of_any_size_are_found() {
+    let run = Run::new();
+    let mut device = run.healthy.clone();
+    let mut altered = Vec::new();
+    for (id, value) in device.iter_mut().filter(|(_, value)| value.u32().is_ok()) {
+        integers(value).fill(u32::MAX);
+        altered.push(run.network.graph.name(*id).to_owned());
+    }
+    // A copy of the classes, and a right one.
+    altered.retain(|name| name != "detections.labels");
+    assert!(altered.len() >= 8, "{altered:?}");
+    let failing = failing(&run.compare(&device));
+    assert!(altered.iter().all(|name| failing.contains(name)), "{altered:?}, but {failing:?}");
 }

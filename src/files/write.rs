@@ -21,8 +21,8 @@ const UNFINISHED: [&str; 2] = [".smr-gpu-", ".unfinished"];
 #[non_exhaustive]
 pub enum Error {
     /// By this name or another, the file is one that must stay.
-    #[error("{path}: expected a file that is no input, got one of the inputs")]
-    Input {
+    #[error("{path}: expected a file that is no input or other output of this run, got one")]
+    Spared {
         /// The output.
         path: PathBuf,
     },
@@ -44,7 +44,7 @@ pub enum Error {
     },
 }
 
-/// The outputs of a command: they replace none of the files that it spares.
+/// The outputs of a command: they replace none of the files that it spares, nor one another.
 #[derive(Debug, Default)]
 pub struct Outputs {
     spared: HashSet<FileId>,
@@ -69,26 +69,28 @@ impl Outputs {
     /// As [`write`](Self::write), but for what only writing shows.
     pub fn check(&self, path: &Path) -> Result<(), Error> {
         if FileId::of(path).is_ok_and(|id| self.spared.contains(&id)) {
-            return Err(Error::Input { path: path.to_owned() });
+            return Err(Error::Spared { path: path.to_owned() });
         }
         check(path)
     }
 
-    /// Writes a file, or leaves what was there.
+    /// Writes a file, or leaves what was there; from then on it is spared.
     ///
     /// # Errors
-    /// [`Error::Input`] for a file that is spared, [`Error::NotReplaceable`] for a folder, a link, a
+    /// [`Error::Spared`] for a file that is spared, [`Error::NotReplaceable`] for a folder, a link, a
     /// pipe, a device or a read-only file, and [`Error::Io`].
-    pub fn write(&self, path: &Path, bytes: &[u8]) -> Result<(), Error> {
+    pub fn write(&mut self, path: &Path, bytes: &[u8]) -> Result<(), Error> {
         self.check(path)?;
-        write(path, bytes)
+        write(path, bytes)?;
+        self.spare(path);
+        Ok(())
     }
 }
 
-/// Whether [`write`] may write here.
+/// Whether [`write()`] may write here.
 ///
 /// # Errors
-/// As [`write`], but for what only writing shows.
+/// As [`write()`], but for what only writing shows.
 pub fn check(path: &Path) -> Result<(), Error> {
     replaced(path).map(drop)
 }
@@ -281,10 +283,10 @@ mod tests {
         let made = std::process::Command::new("mkfifo").arg(path("pipe")).status();
         assert!(made.expect("mkfifo").success());
 
-        let outputs = Outputs::sparing([path("input"), path("gone")]);
+        let mut outputs = Outputs::sparing([path("input"), path("gone")]);
         for name in ["input", "hard", "soft"] {
             let error = outputs.write(&path(name), b"lost").expect_err(name);
-            assert!(matches!(error, Error::Input { .. }), "{name}: {error}");
+            assert!(matches!(error, Error::Spared { .. }), "{name}: {error}");
         }
         for (name, phrase) in [
             ("elsewhere", "got a symbolic link"),
@@ -302,6 +304,8 @@ mod tests {
         assert_eq!(fs::read(path("other")).expect("kept"), b"other");
         outputs.write(&path("other"), b"new").expect("replaced");
         outputs.write(&path("gone"), b"new").expect("written");
+        let error = outputs.write(&path("gone"), b"lost").expect_err("written before");
+        assert!(matches!(error, Error::Spared { .. }), "{error}");
     }
 
     #[cfg(unix)]

@@ -5,7 +5,7 @@ use crate::error::Result;
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::sum_error;
 use crate::ops::case::{Case, GATED_MAPS, one_way, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, map_dims};
+use crate::ops::op::{Entry, Op, Tolerance, expect, map_dims};
 use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
@@ -85,8 +85,7 @@ impl Op for ApplyGates {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        check_inputs(self, inputs)?;
+    fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let [input, channel, spatial] = [inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?];
         Ok(vec![cpu::apply_gates(input, channel, spatial).into()])
     }

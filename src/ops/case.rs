@@ -211,9 +211,7 @@ fn plan_op(
     inputs: &[Value],
     guard: bool,
 ) -> Result<(Plan, Vec<TensorId>)> {
-    let specs: Vec<_> = inputs.iter().map(Value::spec).collect();
-    let out_specs = op.infer(&specs)?;
-    op.check_values(&inputs.iter().collect::<Vec<_>>())?;
+    let out_specs = op.check(&inputs.iter().collect::<Vec<_>>())?;
     let mut recording = Recording::default();
     recording.begin_stage(op.name());
     let names = op.inputs();

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{SumOrder, magnitude, sigmoid_error};
 use crate::ops::case::{Case, one_way, one_way_sum, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, dims, expect};
+use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
 use crate::ops::params::{Params as Named, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
@@ -102,8 +102,7 @@ impl Op for ChannelGate {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        check_inputs(self, inputs)?;
+    fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let [pooled, fc1_weight, fc1_bias, fc2_weight, fc2_bias] = f32s(inputs)?;
         Ok(vec![cpu::channel_gate(pooled, fc1_weight, fc1_bias, fc2_weight, fc2_bias).into()])
     }
@@ -181,6 +180,19 @@ fn cases() -> Vec<Case> {
             ],
         )
         .by_hand(vec![values([2], &[0.5, 1.0])]),
+        // Before the ReLU, once for each vector: (1 + 1/2) + (2 + 1/2) = 4, times ln 3 / 4.
+        Case::new(
+            "the first layer's bias by hand",
+            ChannelGate,
+            vec![
+                values([2, 1], &[1.0, 2.0]),
+                values([1, 1], &[1.0]),
+                values([1], &[0.5]),
+                values([1, 1], &[half_ln3 / 2.0]),
+                values([1], &[0.0]),
+            ],
+        )
+        .by_hand(vec![values([1], &[0.75])]),
         // sigmoid(±1e4) and of ±1e30: 0 and 1, no NaN.
         Case::new(
             "saturated by hand",
@@ -220,10 +232,26 @@ fn cases() -> Vec<Case> {
     for (i, (name, channels, hidden, scale)) in shapes.into_iter().enumerate() {
         cases.push(Case::new(name, ChannelGate, mlp(i as u64 * 10, channels, hidden, scale)));
     }
-    // Where the gate is steep, so that a single unit shows.
-    let mut steep = mlp(500, 3, 1024, 0.1);
-    steep[3] = random_scaled(503, [3, 1024], 0.03);
-    cases.push(Case::new("1024 hidden units, steep", ChannelGate, steep));
+    // Unit r is r % 4 by the average and 0 by the maximum. One channel sees the last unit alone, which
+    // is 3, the other the one before, which is 2: ln 3 / 3 · 3 and ln 3 / 2 · 2.
+    let ln3 = 2.0 * half_ln3;
+    let rows = Tensor::from_fn([2, 1024], |i| match i {
+        1023 => ln3 / 3.0,
+        2046 => ln3 / 2.0,
+        _ => 0.0,
+    });
+    let units = Tensor::from_fn([1024, 2], |i| if i % 2 == 0 { (i / 2 % 4) as f32 } else { 0.0 });
+    let inputs = vec![
+        values([2, 2], &[1.0, 0.0, 0.0, 0.0]),
+        units.into(),
+        Tensor::<f32>::zeros([1024]).into(),
+        rows.into(),
+        values([2], &[0.0; 2]),
+    ];
+    cases.push(
+        Case::new("the last of 1024 hidden units by hand", ChannelGate, inputs)
+            .by_hand(vec![values([2], &[0.75, 0.75])]),
+    );
     for (i, channels) in [64, 128, 256, 512].into_iter().enumerate() {
         let seed = 1000 + i as u64 * 10;
         let hidden = channels / 16;

@@ -5,7 +5,7 @@ use crate::error::Result;
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{PARTIAL_SUMS, SumOrder, magnitude, mean_error};
 use crate::ops::case::{Case, GATED_MAPS, one_way, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, map_dims};
+use crate::ops::op::{Entry, Op, Tolerance, map_dims};
 use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::{Tensor, Value};
@@ -76,8 +76,7 @@ impl Op for ChannelPool {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        check_inputs(self, inputs)?;
+    fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {
         Ok(vec![cpu::channel_pool(inputs[0].f32()?).into()])
     }
 

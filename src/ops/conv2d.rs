@@ -203,9 +203,7 @@ impl Op for Conv2d {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        let specs: Vec<_> = inputs.iter().map(|v| v.spec()).collect();
-        self.infer(&specs)?;
+    fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let (input, weight, bias, residual) = self.split(inputs);
         let bias = bias.map(|v| v.f32()).transpose()?;
         let residual = residual.map(|v| v.f32()).transpose()?;
@@ -306,6 +304,19 @@ fn cases() -> Vec<Case> {
     cases.push(
         Case::new("2x1 by hand", plain, vec![map(), tensor(&[1, 1, 2, 1], &[1.0, 2.0])])
             .by_hand(vec![tensor(&[1, 1, 4], &[33.0, 66.0, 132.0, 264.0])]),
+    );
+    // Weights (1, 2), (3, 4) and (5, 6) over pixels (10, 1) and (−1, 100).
+    cases.push(
+        Case::new(
+            "two channels to three by hand",
+            Conv2d::default(),
+            vec![
+                tensor(&[2, 1, 2], &[10.0, -1.0, 1.0, 100.0]),
+                tensor(&[3, 2, 1, 1], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]),
+                tensor(&[3], &[0.5, 0.25, -1.0]),
+            ],
+        )
+        .by_hand(vec![tensor(&[3, 1, 2], &[12.5, 199.5, 34.25, 397.25, 55.0, 594.0])]),
     );
     // Stride 3 with padding 1 looks at rows −1 and 2, dilation 2 at columns (−1, 1) and (2, 4). Row 2
     // is 1…6 in channel 0, weighted (10, 1), and 100…600 in channel 1, weighted (0, 1).

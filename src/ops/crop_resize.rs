@@ -4,7 +4,7 @@ use crate::cpu::{self, Crop};
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, values};
-use crate::ops::op::{EPS, Entry, Op, Tolerance, check_inputs, dims, expect};
+use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
@@ -179,8 +179,7 @@ impl Op for CropResize {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        check_inputs(self, inputs)?;
+    fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let (picture, crop) = self.parts(inputs)?;
         Ok(vec![cpu::crop_resize(picture, crop, self.size, self.mean, self.std).into()])
     }
@@ -257,6 +256,13 @@ fn cases() -> Vec<Case> {
             vec![Tensor::from_fn([1], |_| 0x0066_3300).into(), crop([1, 1, 0, 0, 1])],
         )
         .by_hand(vec![values([3, 1, 1], &[0.0, 0.2, 0.4])]),
+        // Levels 51, 102, 204 are 0.2, 0.4, 0.8: (0.2 − 1/8) · 2, (0.4 − 1/4) · 4, (0.8 − 1/2) · 8.
+        Case::new(
+            "each channel its mean and deviation, by hand",
+            CropResize { size: 1, mean: [0.125, 0.25, 0.5], std: [0.5, 0.25, 0.125] },
+            vec![Tensor::from_fn([1], |_| 0x00cc_6633).into(), crop([1, 1, 0, 0, 1])],
+        )
+        .by_hand(vec![values([3, 1, 1], &[0.15, 0.6, 2.4])]),
         // The numbers are PyTorch's, from `interpolate(…, antialias=True)` in f64.
         Case::new(
             "5x5 inside 7x6 to 3, PyTorch's numbers",

@@ -171,8 +171,7 @@ impl Op for DecodeDetections {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        let specs = self.infer(&inputs.iter().map(|v| v.spec()).collect::<Vec<_>>())?;
+    fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let (rois, deltas, probabilities) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);
         let classes = probabilities.dims()[1];
         let count = live(Some(inputs[3]), rois.dims()[0])?;
@@ -241,6 +240,7 @@ fn cases() -> Vec<Case> {
         let op = DecodeDetections { class_mask: mask, ..DecodeDetections::default() };
         Case::new(name, op, inputs)
     };
+    let ln2 = std::f32::consts::LN_2;
     let mut cases = vec![
         // The box (8, 8)–(16, 24), centre (12, 16). Class 1: dx = 5/10 of 8 is 4, dy = −10/10 of
         // 16 is −16, so the centre is (16, 0), and the upper half is clipped. Class 2 is not
@@ -270,6 +270,24 @@ fn cases() -> Vec<Case> {
             values([4], &[0.25, -1.0, 0.0, 0.0]),
             integers([4], &[1, 2, 0, 0]),
             integers([1], &[2]),
+        ]),
+        // Each delta has its weight: dx = 0.5/1 of 8 and dy = 0.5/2 of 16 are both 4, and dw = 4 ln 2/4
+        // doubles the width, dh = −8 ln 2/8 halves the height. The centre is (16, 20), the size 16 × 8.
+        Case::new(
+            "four weights by hand",
+            DecodeDetections { weights: [1.0, 2.0, 4.0, 8.0], ..op },
+            vec![
+                values([1, 4], &[8.0, 8.0, 16.0, 24.0]),
+                values([1, 8], &[0.0, 0.0, 0.0, 0.0, 0.5, 0.5, 4.0 * ln2, -8.0 * ln2]),
+                values([1, 2], &[0.25, 0.75]),
+                count(1),
+            ],
+        )
+        .by_hand(vec![
+            values([1, 4], &[8.0, 16.0, 24.0, 24.0]),
+            values([1], &[0.75]),
+            integers([1], &[1]),
+            integers([1], &[1]),
         ]),
         torchvision(),
         random_case("nothing counted", 10, 3, 3, u32::MAX, 0),

@@ -149,8 +149,7 @@ impl Op for DecodeProposals {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        let specs = self.infer(&inputs.iter().map(|v| v.spec()).collect::<Vec<_>>())?;
+    fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let (deltas, logits, indices) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].u32()?);
         let count = live(Some(inputs[3]), logits.data().len())?;
         let extent = [self.width as f32, self.height as f32];
@@ -314,6 +313,36 @@ fn cases() -> Vec<Case> {
     ];
     cases.push(Case::new("an index past the end by hand", past, inputs).by_hand(vec![
         values([2, 4], &[167.0, 159.0, 169.0, 161.0, 7.0, 0.0, 9.0, 1.0]),
+        values([2], &[0.5, 0.5]),
+    ]));
+    // Larger than the picture on all sides.
+    let huge = DecodeProposals {
+        anchors: vec![[-100.0, -100.0, 100.0, 100.0]],
+        stride: 8,
+        width: 32,
+        height: 24,
+    };
+    let inputs = vec![
+        Tensor::<f32>::zeros([4, 1, 1]).into(),
+        values([1], &[0.0]),
+        integers([1], &[0]),
+        count(1),
+    ];
+    cases.push(
+        Case::new("clipped on all sides by hand", huge, inputs)
+            .by_hand(vec![values([1, 4], &[0.0, 0.0, 32.0, 24.0]), values([1], &[0.5])]),
+    );
+    // Outside of it: dx and dy of ±20 take a box of 2 × 2 at the origin 40 away.
+    let outside =
+        DecodeProposals { anchors: vec![[-1.0, -1.0, 1.0, 1.0]], stride: 8, width: 32, height: 24 };
+    let inputs = vec![
+        values([4, 1, 2], &[-20.0, 20.0, -20.0, 20.0, 0.0, 0.0, 0.0, 0.0]),
+        values([2], &[0.0, 0.0]),
+        integers([2], &[0, 1]),
+        count(2),
+    ];
+    cases.push(Case::new("outside the picture by hand", outside, inputs).by_hand(vec![
+        values([2, 4], &[0.0, 0.0, 0.0, 0.0, 32.0, 24.0, 32.0, 24.0]),
         values([2], &[0.5, 0.5]),
     ]));
     let sides = [16.0, 24.0, 32.0, 48.0].map(|s: f32| [s, s / 2.0]).concat();

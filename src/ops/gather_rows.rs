@@ -104,8 +104,7 @@ impl Op for GatherRows {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        let specs = self.infer(&inputs.iter().map(|v| v.spec()).collect::<Vec<_>>())?;
+    fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let (_, columns) = layout(&inputs[0].spec().shape.0).unwrap_or((1, 1));
         let indices = inputs[1].u32()?.data();
         let indices = &indices[..live(Some(inputs[2]), indices.len())?];

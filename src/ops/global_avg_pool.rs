@@ -5,7 +5,7 @@ use crate::error::Result;
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{PARTIAL_SUMS, SumOrder, magnitude, mean_error};
 use crate::ops::case::{Case, one_way, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, map_dims};
+use crate::ops::op::{Entry, Op, Tolerance, map_dims};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::{Tensor, Value};
@@ -92,8 +92,7 @@ impl Op for GlobalAvgPool {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        check_inputs(self, inputs)?;
+    fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let mut means = Vec::new();
         for input in inputs {
             means.extend(cpu::global_avg_pool(input.f32()?).into_data());

@@ -116,8 +116,7 @@ impl Op for IndirectGrid {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        self.infer(&inputs.iter().map(|v| v.spec()).collect::<Vec<_>>())?;
+    fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let count = live(Some(inputs[0]), self.capacity)?;
         let grid =
             cpu::indirect_grid(count, self.items_per_count, self.workgroup_size, self.layers);

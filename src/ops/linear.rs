@@ -161,8 +161,7 @@ impl Op for Linear {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        let specs = self.infer(&inputs.iter().map(|v| v.spec()).collect::<Vec<_>>())?;
+    fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let (input, weight, bias) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);
         let rows = live(inputs.get(3).copied(), input.dims()[0])?;
         let mut output = cpu::linear(input, weight, bias, rows, self.relu).into_data();

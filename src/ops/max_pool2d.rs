@@ -4,7 +4,7 @@ use crate::cpu;
 use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, one_way, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, map_dims};
+use crate::ops::op::{Entry, Op, Tolerance, map_dims};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
@@ -119,8 +119,7 @@ impl Op for MaxPool2d {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        check_inputs(self, inputs)?;
+    fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {
         Ok(vec![cpu::max_pool2d(inputs[0].f32()?, self.kernel, self.stride, self.padding).into()])
     }
 
@@ -153,6 +152,16 @@ fn cases() -> Vec<Case> {
             vec![values([1, 3, 3], &[-1.0, -2.0, -3.0, -4.0, -9.0, -6.0, -7.0, -8.0, -5.0])],
         )
         .by_hand(vec![values([1, 2, 2], &[-1.0, -2.0, -4.0, -5.0])]),
+        // Windows (1, 5, 0, 3) and (5, 2, 3, 4), then the second channel's.
+        Case::new(
+            "two channels, not square, by hand",
+            op(2, 1, 0),
+            vec![values(
+                [2, 2, 3],
+                &[1.0, 5.0, 2.0, 0.0, 3.0, 4.0, -9.0, -8.0, -3.0, -6.0, -5.0, -4.0],
+            )],
+        )
+        .by_hand(vec![values([2, 1, 2], &[5.0, 5.0, -5.0, -3.0])]),
         // An infinity is no NaN: −∞ loses, ∞ wins.
         Case::new(
             "infinities by hand",

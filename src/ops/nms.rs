@@ -205,8 +205,7 @@ impl Op for Nms {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        let specs = self.infer(&inputs.iter().map(|v| v.spec()).collect::<Vec<_>>())?;
+    fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let (boxes, scores) = (inputs[0].f32()?, inputs[1].f32()?);
         let (classes, count) = self.optional(inputs);
         let n = live(count.copied(), scores.data().len())?;
@@ -332,6 +331,69 @@ fn cases() -> Vec<Case> {
             ],
             &[1, 0, 0],
             2,
+        ),
+        // 2 × 5 and 5 × 2 are just large enough, 1.5 × 5 and 5 × 1.5 are not.
+        by_hand(
+            "least width and height by hand",
+            Nms { min_size: 2.0, ..half },
+            vec![
+                values(
+                    [4, 4],
+                    &[
+                        0.0, 0.0, 2.0, 5.0, 10.0, 0.0, 15.0, 2.0, 20.0, 0.0, 21.5, 5.0, 30.0, 0.0,
+                        35.0, 1.5,
+                    ],
+                ),
+                ranks(4),
+            ],
+            &[0, 1, 0, 0],
+            2,
+        ),
+        // Far from the origin. Neighbours share 7 of 13, the ends 4 of 16: a box that is dropped drops no
+        // other.
+        by_hand(
+            "a chain by hand",
+            half,
+            vec![
+                values(
+                    [3, 4],
+                    &[100.0, 50.0, 110.0, 60.0, 100.0, 53.0, 110.0, 63.0, 100.0, 56.0, 110.0, 66.0],
+                ),
+                ranks(3),
+            ],
+            &[0, 2, 0],
+            2,
+        ),
+        // The first two share 7 · 9 of 200 − 63, less than half; the small ones lie apart.
+        by_hand(
+            "shifted both ways, and apart, by hand",
+            half,
+            vec![
+                values(
+                    [4, 4],
+                    &[
+                        3.0, 0.0, 13.0, 10.0, 0.0, 1.0, 10.0, 11.0, 20.0, 30.0, 20.5, 30.5, 21.0,
+                        31.0, 21.5, 31.5,
+                    ],
+                ),
+                ranks(4),
+            ],
+            &[0, 1, 2, 3],
+            4,
+        ),
+        // NaN is above no score. Of two equal boxes with equal scores the first stays.
+        by_hand(
+            "a NaN and a tie by hand",
+            half,
+            vec![
+                values(
+                    [3, 4],
+                    &[50.0, 50.0, 60.0, 60.0, 0.0, 0.0, 10.0, 10.0, 0.0, 0.0, 10.0, 10.0],
+                ),
+                values([3], &[f32::NAN, 0.5, 0.5]),
+            ],
+            &[1, 0, 0],
+            1,
         ),
         Case::new("one", half, vec![random_boxes(1, 1, 9.0, 9.0).into(), ranks(1)]),
     ];

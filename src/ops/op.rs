@@ -66,19 +66,42 @@ pub trait Op: Any + Debug + Send + Sync {
         outputs: &[TensorId],
     ) -> Result<()>;
 
-    /// The same on the CPU, from the definition, with f64 sums.
-    ///
-    /// # Errors
-    /// As [`Op::infer`].
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>>;
-
-    /// Checks values that the shader takes on trust.
+    /// Checks values that shader and reference take on trust; `inputs` have shapes that `infer`
+    /// accepted.
     ///
     /// # Errors
     /// [`Error::Tensor`] or [`Error::Capacity`].
     fn check_values(&self, _inputs: &[&Value]) -> Result<()> {
         Ok(())
     }
+
+    /// All checks of the inputs, shapes and values, and the outputs' shapes: whoever runs an operation
+    /// comes through here, on the device as on the CPU.
+    ///
+    /// # Errors
+    /// As [`Op::infer`] and [`Op::check_values`].
+    fn check(&self, inputs: &[&Value]) -> Result<Vec<TensorSpec>> {
+        let specs: Vec<_> = inputs.iter().map(|v| v.spec()).collect();
+        let outputs = self.infer(&specs)?;
+        self.check_values(inputs)?;
+        Ok(outputs)
+    }
+
+    /// The same as the shader on the CPU, from the definition, with f64 sums.
+    ///
+    /// # Errors
+    /// As [`Op::check`].
+    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
+        let outputs = self.check(inputs)?;
+        self.compute(inputs, &outputs)
+    }
+
+    /// What [`Op::reference`] leaves to the operation: `inputs` passed [`Op::check`], which tells the
+    /// `outputs`.
+    ///
+    /// # Errors
+    /// None that a checked input brings about.
+    fn compute(&self, inputs: &[&Value], outputs: &[TensorSpec]) -> Result<Vec<Value>>;
 
     /// How far the shader's outputs may be from the reference's: a bound with a reason, by output.
     ///
@@ -241,11 +264,55 @@ pub fn map_dims(op: &str, tensor: &str, spec: &TensorSpec) -> Result<[usize; 3]>
     Ok(got)
 }
 
-/// Checks the inputs of a reference as [`Op::infer`] does.
-///
-/// # Errors
-/// As [`Op::infer`].
-pub fn check_inputs(op: &dyn Op, inputs: &[&Value]) -> Result<()> {
-    let specs: Vec<_> = inputs.iter().map(|v| v.spec()).collect();
-    op.infer(&specs).map(|_| ())
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An operation that refuses all values, so that it must not come to compute any.
+    #[derive(Debug)]
+    struct Refuses;
+
+    impl Op for Refuses {
+        fn entry(&self) -> &'static Entry {
+            crate::ops::OPS[0]
+        }
+
+        fn settings(&self) -> Settings {
+            Settings::new()
+        }
+
+        fn inputs(&self) -> Vec<&'static str> {
+            Vec::new()
+        }
+
+        fn outputs(&self) -> Vec<&'static str> {
+            Vec::new()
+        }
+
+        fn shapes(&self, _inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
+            Ok(Vec::new())
+        }
+
+        fn record(&self, _: &mut Recording, _: &[TensorId], _: &[TensorId]) -> Result<()> {
+            panic!("recorded")
+        }
+
+        fn check_values(&self, _inputs: &[&Value]) -> Result<()> {
+            Err(Error::tensor(self.name(), "any", "no value", "a value"))
+        }
+
+        fn compute(&self, _inputs: &[&Value], _outputs: &[TensorSpec]) -> Result<Vec<Value>> {
+            panic!("computed")
+        }
+
+        fn tolerance(&self, _inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+            Ok(Vec::new())
+        }
+    }
+
+    #[test]
+    fn a_reference_checks_values_first() {
+        let message = Refuses.reference(&[]).expect_err("an error").to_string();
+        assert!(message.contains("expected no value"), "{message}");
+    }
 }

@@ -139,8 +139,7 @@ impl Op for RoiAlign {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        let specs = self.infer(&inputs.iter().map(|v| v.spec()).collect::<Vec<_>>())?;
+    fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let (features, boxes) = (inputs[0].f32()?, inputs[1].f32()?);
         let rois = live(inputs.get(2).copied(), boxes.dims()[0])?;
         let boxes: Vec<_> = (0..rois).map(|i| row(boxes.data(), i)).collect();

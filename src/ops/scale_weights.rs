@@ -6,7 +6,7 @@ use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{SumOrder, magnitude};
 use crate::ops::case::{Case, one_way, one_way_sum, random, random_scaled, values};
 use crate::ops::channel_gate::{LANES, f32s};
-use crate::ops::op::{EPS, Entry, Op, Tolerance, check_inputs, dims, expect};
+use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect};
 use crate::ops::params::{Params as Named, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
@@ -110,8 +110,7 @@ impl Op for ScaleWeights {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        check_inputs(self, inputs)?;
+    fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let [pooled, fc1_weight, fc1_bias, fc2_weight, fc2_bias] = f32s(inputs)?;
         Ok(vec![cpu::scale_weights(pooled, fc1_weight, fc1_bias, fc2_weight, fc2_bias).into()])
     }
@@ -181,6 +180,19 @@ fn cases() -> Vec<Case> {
             logits(2.0, &[1.0, 9.0, -1.0, 9.0], &[0.0, 4.0 + ln2]),
         )
         .by_hand(vec![values([2], &[1.0 / 3.0, 2.0 / 3.0])]),
+        // x = 1 hides (1 + 1/2, −1 + 2): logits ln 2 / 1.5 · 1.5, ln 5 · 1 and 0, weights 2 : 5 : 1.
+        Case::new(
+            "the first layer's bias by hand",
+            ScaleWeights,
+            vec![
+                values([1], &[1.0]),
+                values([2, 1], &[1.0, -1.0]),
+                values([2], &[0.5, 2.0]),
+                values([3, 2], &[ln2 / 1.5, 0.0, 0.0, 5f32.ln(), 0.0, 0.0]),
+                values([3], &[0.0; 3]),
+            ],
+        )
+        .by_hand(vec![values([3], &[0.25, 0.625, 0.125])]),
         Case::new(
             "logits of ±1e4 by hand",
             ScaleWeights,
@@ -218,6 +230,24 @@ fn cases() -> Vec<Case> {
         let inputs = mlp(i as u64 * 10, length, hidden, scales, scale);
         cases.push(Case::new(name, ScaleWeights, inputs));
     }
+    // Unit r is r % 4. One scale sees the last unit alone, which is 3, one the unit before, which is 2:
+    // the logits are ln 2 / 3 · 3, ln 5 / 2 · 2 and 0, the weights 2 : 5 : 1.
+    let rows = Tensor::from_fn([3, 1024], |i| match i {
+        1023 => ln2 / 3.0,
+        2046 => 5f32.ln() / 2.0,
+        _ => 0.0,
+    });
+    let inputs = vec![
+        values([1], &[1.0]),
+        Tensor::from_fn([1024, 1], |r| (r % 4) as f32).into(),
+        Tensor::<f32>::zeros([1024]).into(),
+        rows.into(),
+        values([3], &[0.0; 3]),
+    ];
+    cases.push(
+        Case::new("the last of 1024 hidden units by hand", ScaleWeights, inputs)
+            .by_hand(vec![values([3], &[0.25, 0.625, 0.125])]),
+    );
     // Rows of the second layer of different size, so that an error does not shift all logits alike,
     // and a bias that brings the logits together again: all weights are near one third.
     let mut rows = one_way(1003, [3, 64]);

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{SumOrder, magnitude, sigmoid_error};
 use crate::ops::case::{Case, one_way, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, map_dims};
+use crate::ops::op::{Entry, Op, Tolerance, expect, map_dims};
 use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::{Tensor, Value};
@@ -91,8 +91,7 @@ impl Op for SpatialGate {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        check_inputs(self, inputs)?;
+    fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let [pooled, weight, bias] = [inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?];
         Ok(vec![cpu::spatial_gate(pooled, weight, bias).into()])
     }

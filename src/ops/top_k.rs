@@ -131,8 +131,7 @@ impl Op for TopK {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        let specs = self.infer(&inputs.iter().map(|v| v.spec()).collect::<Vec<_>>())?;
+    fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let scores = inputs[0].f32()?;
         let n = live(inputs.get(1).copied(), scores.data().len())?;
         let (channels, area) = layout(scores.dims()).unwrap_or((1, n));

@@ -5,7 +5,7 @@ use crate::error::Result;
 use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{SumOrder, magnitude};
 use crate::ops::case::{Case, one_way, random, random_scaled, values};
-use crate::ops::op::{Entry, Op, Tolerance, check_inputs, expect, map_dims};
+use crate::ops::op::{Entry, Op, Tolerance, expect, map_dims};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
@@ -94,8 +94,7 @@ impl Op for WeightedSum {
         Ok(())
     }
 
-    fn reference(&self, inputs: &[&Value]) -> Result<Vec<Value>> {
-        check_inputs(self, inputs)?;
+    fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let maps = inputs[1..].iter().map(|v| v.f32()).collect::<Result<Vec<_>>>()?;
         Ok(vec![cpu::weighted_sum(inputs[0].f32()?, &maps).into()])
     }

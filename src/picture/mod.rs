@@ -132,8 +132,8 @@ pub enum Error {
 ///
 /// # Errors
 /// [`Error`]. Pipes, devices, sockets and folders are refused, not opened.
-pub fn read(path: &Path) -> Result<DynamicImage, Error> {
-    let (file, length) = files::open(path)?;
+pub fn read(path: impl AsRef<Path>) -> Result<DynamicImage, Error> {
+    let (file, length) = files::open(path.as_ref())?;
     read_sized(file, length)
 }
 

@@ -16,11 +16,14 @@ use super::optics::{
     position_terms,
 };
 use super::surface::Surface;
+use crate::{files, picture};
 
 /// Radius of the ball in millimetres.
 const BALL_MM: f64 = 2.0;
 /// Side of a pixel of the presses, in millimetres.
 const PRESS_MM_PER_PX: f64 = 0.0295;
+/// Longest table of presses or calibration file, in bytes.
+const MAX_TEXT: u64 = 1 << 24;
 /// Side of the crop round a contact in which pictures are compared, in pixels.
 pub const CROP_PX: usize = 300;
 /// Parts that the presses are dealt into; each is measured by a fit on the others.
@@ -89,7 +92,7 @@ pub const DIFFERENCE_GAIN: i32 = 4;
 /// (`file,center_x_px,center_y_px,contact_radius_px`).
 ///
 /// # Errors
-/// [`Error::Io`], [`Error::Image`] or [`Error::Content`] for a file that is missing or not as
+/// [`Error::Io`], [`Error::Picture`] or [`Error::Content`] for a file that is missing or not as
 /// expected; [`Error::Undetermined`] if the presses show too little of the gel for a fit.
 pub fn calibrate(folder: &Path) -> Result<Report, Error> {
     let (background_file, table) = (folder.join("background.png"), folder.join("presses.csv"));
@@ -159,11 +162,22 @@ pub fn calibrate(folder: &Path) -> Result<Report, Error> {
 }
 
 fn open(path: &Path) -> Result<RgbImage, Error> {
-    Ok(image::open(path).map_err(Error::image(path))?.into_rgb8())
+    let picture = picture::read(path);
+    let picture = picture.map_err(|source| Error::Picture { path: path.to_owned(), source })?;
+    Ok(picture.into_rgb8())
+}
+
+fn read_text(path: &Path) -> Result<String, Error> {
+    let bytes = files::read(path, MAX_TEXT).map_err(Error::io(path))?;
+    String::from_utf8(bytes).map_err(|e| Error::Content {
+        path: path.to_owned(),
+        expected: "text".to_owned(),
+        found: e.to_string(),
+    })
 }
 
 fn read_presses(folder: &Path, path: &Path, background: &RgbImage) -> Result<Vec<Press>, Error> {
-    let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+    let text = read_text(path)?;
     let bad = |path: &Path, expected: &str, found: &str| Error::Content {
         path: path.to_owned(),
         expected: expected.to_owned(),
@@ -424,7 +438,7 @@ pub fn sensor_files(folder: &Path) -> Result<Vec<PathBuf>, Error> {
 /// [`Error::Io`] or [`Error::Content`] for a file that is missing or not as expected.
 pub fn read_sensor(path: &Path) -> Result<MeasuredSensor, Error> {
     const QUADRATIC: usize = 10;
-    let text = std::fs::read_to_string(path).map_err(Error::io(path))?;
+    let text = read_text(path)?;
     let bad = |found: String| Error::Content {
         path: path.to_owned(),
         expected: format!("under quadfit: {POSITION_TERMS} rows of {QUADRATIC} numbers a light"),

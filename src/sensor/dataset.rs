@@ -6,11 +6,10 @@
 //! there and the size is right, the picture is whole. One run at a time writes to a folder: it
 //! holds a lock on `.simulate.lock`.
 //!
-//! Each scene's seed is a hash of the data set's seed and
-//! the picture's number, so data sets of different seeds share no scene: splits are kept apart by
-//! giving each its own seed. A picture depends on its scene's seed and the request alone,
-//! not on threads, order or the number of pictures. Another kind of processor may round a
-//! transform otherwise and change single levels.
+//! Each scene's seed is a hash of the data set's seed and the picture's number, so data sets of
+//! different seeds share no scene: splits are kept apart by giving each its own seed. A picture
+//! depends on its scene's seed and the request alone, not on threads, order or the number of
+//! pictures. Another kind of processor may round a transform otherwise and change single levels.
 
 use std::collections::HashSet;
 use std::ffi::OsStr;
@@ -42,6 +41,8 @@ const CHUNK: usize = 8;
 const LOCK: &str = ".simulate.lock";
 const ORIGIN: &str = "origin.json";
 const ANNOTATIONS: &str = "annotations.json";
+/// Longest file that an earlier run left to be read, in bytes: a label has some thousands.
+const MAX_JSON: u64 = 1 << 24;
 
 /// What to simulate.
 #[derive(Debug, Clone, PartialEq)]
@@ -331,7 +332,7 @@ fn is_whole(settings: &Settings, image: &Path, label: &Path, index: usize) -> Re
     // Neither is written over if it is not.
     files::check(label)?;
     files::check(image)?;
-    let text = fs::read(label).map_err(Error::io(label))?;
+    let text = files::read(label, MAX_JSON).map_err(Error::io(label))?;
     // A crash of an early version, which did not sync, may have left it empty.
     if text.is_empty() {
         return Ok(false);
@@ -380,7 +381,7 @@ fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
 }
 
 fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, Error> {
-    parse(path, &fs::read(path).map_err(Error::io(path))?)
+    parse(path, &files::read(path, MAX_JSON).map_err(Error::io(path))?)
 }
 
 fn parse<T: DeserializeOwned>(path: &Path, text: &[u8]) -> Result<T, Error> {

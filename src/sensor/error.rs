@@ -12,12 +12,20 @@ pub enum Error {
         /// What the system said.
         source: std::io::Error,
     },
-    /// A picture could not be decoded or encoded.
+    /// A picture could not be read.
+    #[error("{path}: {source}")]
+    Picture {
+        /// The picture.
+        path: PathBuf,
+        /// What was expected and what came.
+        source: crate::picture::Error,
+    },
+    /// A picture could not be encoded.
     #[error("{path}: {source}")]
     Image {
         /// The picture.
         path: PathBuf,
-        /// What the codec said.
+        /// What the encoder said.
         source: image::ImageError,
     },
     /// A file does not hold what it should.

@@ -1,7 +1,7 @@
-use crate::support::{check_op, refusal};
+use crate::support::{check_op, gpu, refusal};
 use smr_gpu::cpu::Crop;
-use smr_gpu::ops::CropResize;
-use smr_gpu::ops::{Op, Params, find};
+use smr_gpu::ops::case::run_op;
+use smr_gpu::ops::{CropResize, Op, Params, find};
 use smr_gpu::shape::TensorSpec;
 use smr_gpu::tensor::Tensor;
 
@@ -47,11 +47,13 @@ fn refuses_crops_outside_the_picture() {
     }
     let message = good.to_tensor(79).expect_err("an error").to_string();
     assert!(message.contains("10×8 picture: needs 80, but only 79"), "{message}");
-    // The reference holds the crop's words to the same.
+    // The crop's words are held to the same, by the reference as on the device.
     let picture = Tensor::<u32>::zeros([80]).into();
     let crop = Tensor::from_fn([5], |i| [10, 8, 4, 1, 7][i]).into();
-    let message = OP.reference(&[&picture, &crop]).expect_err("an error").to_string();
-    assert!(message.contains("side 7 at (4, 1)"), "{message}");
+    let by_reference = OP.reference(&[&picture, &crop]).expect_err("an error").to_string();
+    assert!(by_reference.contains("side 7 at (4, 1)"), "{by_reference}");
+    let on_device = run_op(gpu(), &OP, &[picture, crop]).expect_err("an error").to_string();
+    assert_eq!(on_device, by_reference);
 }
 
 #[test]

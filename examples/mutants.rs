@@ -1,7 +1,7 @@
 //! Puts small faults into the shaders and tells which check notices each.
 //!
 //! ```sh
-//! cargo run --release --example mutants -- [--per-file 8] [--seed 1] [--file conv2d] [--sample 20]
+//! cargo run --release --example mutants -- [--per-file 8] [--seed 1] [--file conv2d] [--sample 1]
 //! ```
 //!
 //! Each mutant runs through the cases of every operation that has its file, hand-computed cases
@@ -44,10 +44,11 @@ struct Args {
     /// This file alone.
     #[arg(long)]
     file: Option<String>,
-    /// Leave the whole network out.
+    /// Leave the whole network out, but for the sample.
     #[arg(long)]
     no_network: bool,
-    /// Mutants, drawn at random, that run through the whole network whether or not a case notices.
+    /// Mutants of each file, drawn at random, that run through the whole network whether or not a case
+    /// notices.
     #[arg(long, default_value_t = 0)]
     sample: usize,
     /// The cases with outputs by hand alone: what they miss, the reference could have wrong too.
@@ -215,15 +216,12 @@ fn run(mutants: &[Mutant], first: usize, args: &Args) -> Result<(), Box<dyn Erro
     let options = GpuOptions { checked: true, timeout: RUN, ..GpuOptions::default() };
     let gpu = pollster::block_on(Gpu::open(options))?;
     let mut cases: HashMap<&str, Cases> = HashMap::new();
-    let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(args.seed);
-    let mut order: Vec<usize> = (0..mutants.len()).collect();
-    order.shuffle(&mut rng);
-    let sample = &order[..args.sample.min(order.len())];
+    let sample = sample(mutants, args);
     for (i, mutant) in mutants.iter().enumerate().skip(first) {
         let mutated = gpu.with_replacement(mutant.replacement());
         let mut verdict = by_cases(&mutated, mutant, &mut cases, args.by_hand)?;
-        let sees = verdict.case.is_none() || sample.contains(&i);
-        if sees && !verdict.hangs && !args.no_network && !args.by_hand {
+        let missed = verdict.case.is_none() && !args.no_network && !args.by_hand;
+        if (missed || sample.contains(&i)) && !verdict.hangs {
             match differs(&mutated)? {
                 Some(noticed) => verdict.network = Some(noticed),
                 None => (verdict.network, verdict.hangs) = (Some(true), true),
@@ -237,6 +235,19 @@ fn run(mutants: &[Mutant], first: usize, args: &Args) -> Result<(), Box<dyn Erro
         }
     }
     Ok(())
+}
+
+/// The places of the mutants that run through the network in any case.
+fn sample(mutants: &[Mutant], args: &Args) -> Vec<usize> {
+    let mut sample = Vec::new();
+    let mut first = 0;
+    for of_file in mutants.chunk_by(|a, b| a.file == b.file) {
+        let mut places: Vec<usize> = (first..first + of_file.len()).collect();
+        places.shuffle(&mut rand_pcg::Pcg64Mcg::seed_from_u64(args.seed));
+        sample.extend(&places[..args.sample.min(places.len())]);
+        first += of_file.len();
+    }
+    sample
 }
 
 /// The first case that notices a mutant, and the first that does by its outputs by hand.

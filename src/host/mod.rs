@@ -1,6 +1,6 @@
 //! The network in f32 on this machine's CPU, for machines without an adapter.
 //!
-//! A [`HostPlan`] is a [`Graph`](crate::graph::Graph) made ready: each operation by a kernel with
+//! A [`HostPlan`] is a [`Graph`] made ready: each operation by a kernel with
 //! its weights packed, each tensor in a buffer that is reused when it is dead. Maps lie with a
 //! pixel's channels side by side, so that a convolution is a matrix product over them; where a
 //! kernel wants the other order, the plan puts a conversion.

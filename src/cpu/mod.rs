@@ -38,7 +38,7 @@ pub use indirect_grid::indirect_grid;
 pub use linear::linear;
 pub use max_pool2d::max_pool2d;
 pub use nms::{NmsRule, nms};
-pub use roi_align::{RoiGrid, roi_align};
+pub use roi_align::{RoiGrid, neighbours, roi_align};
 pub use scale_weights::scale_weights;
 pub use shared::boxes::{MAX_LOG_SCALE, decode_box, iou_above};
 pub use shared::{sigmoid, vectorised};

@@ -26,7 +26,7 @@ impl RoiGrid {
 
 /// Indices of the neighbours of `at` on an axis of `length` features and the weight of the upper
 /// one; `None` outside `[-1, length]`, where there is nothing to sample.
-fn neighbours(at: f64, length: usize) -> Option<(usize, usize, f64)> {
+pub fn neighbours(at: f64, length: usize) -> Option<(usize, usize, f64)> {
     if !(-1.0..=length as f64).contains(&at) {
         return None;
     }

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::gemm::vectorised;
 use super::kernel::{Data, Kernel};
-use crate::cpu::RoiGrid;
+use crate::cpu::{RoiGrid, neighbours};
 use crate::shape::TensorSpec;
 
 /// RoIAlign as [`crate::ops::RoiAlign`] defines it.
@@ -40,16 +40,6 @@ impl Regions {
             (at(y1, x1), weight(fy, fx)),
         ])
     }
-}
-
-/// As the reference's: `None` outside `[-1, length]`.
-fn neighbours(at: f64, length: usize) -> Option<(usize, usize, f64)> {
-    if !(-1.0..=length as f64).contains(&at) {
-        return None;
-    }
-    let clamped = at.clamp(0.0, (length - 1) as f64);
-    let low = clamped as usize;
-    Some((low, (low + 1).min(length - 1), clamped - low as f64))
 }
 
 impl Kernel for Regions {

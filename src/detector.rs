@@ -1,5 +1,6 @@
 //! [`GpuDetector`]: a picture in, snaps out.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -64,12 +65,22 @@ impl std::str::FromStr for Device {
 }
 
 /// Where the weights are.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub enum WeightSource {
     /// A safetensors file.
     File(PathBuf),
     /// A safetensors file's bytes, with a name for messages.
     Bytes(PathBuf, Arc<[u8]>),
+}
+
+impl fmt::Debug for WeightSource {
+    /// A line, without the bytes.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File(path) => write!(f, "File({path:?})"),
+            Self::Bytes(name, bytes) => write!(f, "Bytes({name:?}, {} bytes)", bytes.len()),
+        }
+    }
 }
 
 /// How to build a [`GpuDetector`].
@@ -231,7 +242,6 @@ pub type Stages = Vec<(String, Value)>;
 
 /// Finds snap joints in pictures. Build it once; it holds the device, the compiled shaders, the
 /// weights and all buffers. Pictures given from several threads take turns.
-#[derive(Debug)]
 pub struct GpuDetector {
     config: Config,
     model: ModelConfig,
@@ -239,7 +249,6 @@ pub struct GpuDetector {
     engine: Mutex<Engine>,
 }
 
-#[derive(Debug)]
 struct Engine {
     network: Network,
     capacity: usize,
@@ -247,7 +256,15 @@ struct Engine {
     runner: Runner,
 }
 
-#[derive(Debug)]
+impl fmt::Debug for GpuDetector {
+    /// A line: what runs which network.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ModelConfig { input_size, classes, .. } = &self.model;
+        let (classes, adapter) = (classes.join(", "), &self.adapter);
+        write!(f, "GpuDetector({input_size} × {input_size}, classes {classes}, on {adapter})")
+    }
+}
+
 enum Runner {
     Gpu {
         gpu: Arc<Gpu>,
@@ -612,4 +629,27 @@ fn check_finite(network: &Network, values: &Values) -> Result<()> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_for_people() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors");
+        let bytes = std::fs::read(file).expect("the weights");
+        let length = bytes.len();
+        let mut config = Config::new("");
+        config.weights = WeightSource::Bytes("memory".into(), bytes.into());
+        config.device = Device::Reference;
+        let line = format!("{config:?}");
+        assert!(line.contains(&format!(r#"Bytes("memory", {length} bytes)"#)), "{line}");
+        let detector = GpuDetector::new(config).expect("a detector");
+        let want = "GpuDetector(320 × 320, classes A, B, on CPU reference (f64))";
+        assert_eq!(format!("{detector:?}"), want);
+        let network = format!("{:?}", detector.engine.lock().expect("no panic").network);
+        let start = "Network(320 × 320, classes A, B, Graph(";
+        assert!(network.starts_with(start) && network.len() < 100, "{network}");
+    }
 }

@@ -78,6 +78,8 @@ pub mod graph;
 pub mod host;
 #[cfg(feature = "eval")]
 pub mod metrics;
+#[cfg(feature = "serde")]
+mod milliseconds;
 pub mod model;
 pub mod ops;
 #[cfg(feature = "picture")]

@@ -64,6 +64,7 @@
 //! does not publish.
 #![warn(missing_docs)]
 
+pub mod check;
 #[cfg(feature = "eval")]
 pub mod coco;
 pub mod comparison;
@@ -76,6 +77,8 @@ pub mod gpu;
 pub mod graph;
 #[cfg(feature = "cpu")]
 pub mod host;
+pub mod kernels;
+pub mod lower;
 #[cfg(feature = "eval")]
 pub mod metrics;
 #[cfg(feature = "serde")]
@@ -86,6 +89,7 @@ pub mod ops;
 pub mod picture;
 #[cfg(feature = "simulator")]
 pub mod sensor;
+pub mod shader;
 pub mod shape;
 pub mod tensor;
 

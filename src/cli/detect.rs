@@ -8,7 +8,7 @@ use image::DynamicImage;
 use serde::Serialize;
 use smr_gpu::detector::Stages;
 use smr_gpu::files::Outputs;
-use smr_gpu::gpu::StageTime;
+use smr_gpu::graph::StageTime;
 use smr_gpu::{Detection, Detections, Frame, GpuDetector, WeightSource};
 
 use super::detector::{self, DetectorArgs, fraction};

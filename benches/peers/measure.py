@@ -80,7 +80,7 @@ class Measurement:
         program = ROOT / "target/release/examples/timed"
         self.timed = lambda device, tensors: Served([program, device, args.weights, args.picture, tensors])
         reference = args.work / "reference.safetensors"
-        self.timed("reference", reference).process.terminate()
+        self.timed("reference", reference).process.kill()
         # All take the same input: the picture, cropped and resized.
         self.x = torch.from_numpy(load_file(reference)["input"])[None].contiguous()
         np.save(args.work / "x.npy", self.x.numpy())

@@ -4,6 +4,7 @@
 //! cannot drift apart.
 
 use std::collections::HashMap;
+use std::fmt;
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
@@ -71,12 +72,21 @@ pub struct Step<'a> {
 }
 
 /// Operations over tensors, in an order in which each reads only what came before.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub struct Graph {
     tensors: Vec<GraphTensor>,
     nodes: Vec<Node>,
     stages: Vec<String>,
     outputs: Vec<TensorId>,
+}
+
+impl fmt::Debug for Graph {
+    /// A line: how much there is.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { tensors, nodes, stages, .. } = self;
+        let (nodes, stages, tensors) = (nodes.len(), stages.len(), tensors.len());
+        write!(f, "Graph({nodes} operations in {stages} stages, {tensors} tensors)")
+    }
 }
 
 impl Graph {
@@ -330,16 +340,19 @@ impl Graph {
     }
 
     /// The operations, in order.
+    #[cfg(feature = "cpu")]
     pub(crate) fn nodes(&self) -> &[Node] {
         &self.nodes
     }
 
     /// The tensors, by id.
+    #[cfg(feature = "cpu")]
     pub(crate) fn tensors(&self) -> &[GraphTensor] {
         &self.tensors
     }
 
     /// The tensors that a run gives back.
+    #[cfg(feature = "cpu")]
     pub(crate) fn outputs(&self) -> &[TensorId] {
         &self.outputs
     }

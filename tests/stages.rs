@@ -15,7 +15,7 @@ use smr_gpu::sensor::dataset;
 use smr_gpu::sensor::render::{Renderer, Request};
 use smr_gpu::sensor::scene::Mix;
 use smr_gpu::tensor::{Tensor, Value};
-use smr_gpu::{Config, Device, Error, GpuDetector};
+use smr_gpu::{Config, Device, Error, Frame, GpuDetector};
 
 /// The bound on each stage's relative L2 error on the pictures of these tests.
 const STAGE_BOUND: f64 = 1e-5;
@@ -50,7 +50,8 @@ fn stages_match_pytorch() {
     for device in [Device::default(), Device::Cpu, Device::Reference] {
         let size = golden.tensor("pixels").expect("pixels").shape()[2];
         let detector = detector(device.clone(), |c| c.input_size = Some(size));
-        let (found, stages) = detector.detect_with_stages(&picture).expect("a detection");
+        let (found, stages) =
+            detector.detect_with_stages(&Frame::from(&picture)).expect("a detection");
         let mut compared = 0;
         for (name, view) in golden.iter() {
             if view.dtype() != safetensors::Dtype::F32
@@ -93,7 +94,7 @@ fn stages_match_pytorch() {
 #[test]
 fn gpu_matches_the_f64_network_on_a_sample() {
     let gpu = detector(Device::default(), |_| ());
-    let comparison = gpu.compare(&first_sample()).expect("a comparison");
+    let comparison = gpu.compare(&Frame::from(&first_sample())).expect("a comparison");
     assert_eq!(comparison.failures().collect::<Vec<_>>(), [""; 0]);
     let tensors: Vec<_> = comparison.stages.iter().flat_map(|s| &s.tensors).collect();
     assert!(tensors.len() >= 100, "only {} tensors", tensors.len());
@@ -117,7 +118,8 @@ fn a_choice_by_rounding_is_no_failure() {
     let scene = dataset::scene_seed(2004, 5);
     let rendered = Renderer::new().render(scene, &Request::plain(Mix::None)).expect("a picture");
     let picture = DynamicImage::from(rendered.picture);
-    let comparison = detector(Device::default(), |_| ()).compare(&picture).expect("a comparison");
+    let comparison =
+        detector(Device::default(), |_| ()).compare(&Frame::from(&picture)).expect("a comparison");
     println!("{:?}", comparison.excused().collect::<Vec<_>>());
     assert_eq!(comparison.failures().collect::<Vec<_>>(), [""; 0]);
 }

@@ -340,19 +340,16 @@ impl Graph {
     }
 
     /// The operations, in order.
-    #[cfg(feature = "cpu")]
     pub(crate) fn nodes(&self) -> &[Node] {
         &self.nodes
     }
 
     /// The tensors, by id.
-    #[cfg(feature = "cpu")]
     pub(crate) fn tensors(&self) -> &[GraphTensor] {
         &self.tensors
     }
 
     /// The tensors that a run gives back.
-    #[cfg(feature = "cpu")]
     pub(crate) fn outputs(&self) -> &[TensorId] {
         &self.outputs
     }

@@ -7,9 +7,9 @@ use std::time::{Duration, Instant};
 
 use crate::comparison::{self, ChoiceComparison, Shift, StageComparison, Values};
 use crate::error::{Error, Result};
+use crate::frame::{Frame, Square};
 use crate::gpu::{AdapterChoice, Gpu, GpuOptions, ProgramOptions, Slot};
 use crate::graph::{StageTime, TensorId};
-use crate::frame::{Frame, Square};
 #[cfg(feature = "cpu")]
 use crate::host::HostPlan;
 use crate::model::{ModelConfig, Network, Thresholds, Weights};
@@ -297,7 +297,9 @@ impl GpuDetector {
     async fn build(config: Config, gpu: Option<Arc<Gpu>>) -> Result<Self> {
         let weights = match &config.weights {
             WeightSource::File(path) => Weights::open(path)?,
-            WeightSource::Bytes(name, bytes) => Weights::from_bytes(name, bytes)?,
+            WeightSource::Bytes(name, bytes) => {
+                Weights::from_shared(name, Arc::new(bytes.clone()))?
+            }
         };
         let weights = match config.input_size {
             Some(size) => weights.with_input_size(size)?,
@@ -305,7 +307,7 @@ impl GpuDetector {
         };
         let model = weights.config().clone();
         let thresholds = config.thresholds(&model)?;
-        let network = Network::new(weights, thresholds)?;
+        let mut network = Network::new(weights, thresholds)?;
         let (runner, adapter) = match &config.device {
             Device::Reference => (Runner::Reference, "CPU reference (f64)".to_owned()),
             #[cfg(feature = "cpu")]
@@ -332,6 +334,9 @@ impl GpuDetector {
                 (Runner::Gpu(Box::new(slot(&gpu, &network, &config).await?)), adapter)
             }
         };
+        if !matches!(runner, Runner::Reference) && !config.keep_stages {
+            network.graph.forget_constants();
+        }
         let engine = Mutex::new(Engine { network, runner });
         Ok(Self { config, model, adapter, engine })
     }

@@ -7,8 +7,8 @@
 use std::borrow::Cow;
 use std::fmt;
 
-use crate::model::MAX_PIXELS;
 use crate::error::{Error, Result};
+use crate::model::MAX_PIXELS;
 
 /// How pixels lie in memory, 8 bits a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -1,6 +1,7 @@
 //! The device: choosing an adapter, opening it, compiling shaders, noticing its loss.
 
 use std::collections::HashMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -425,8 +426,13 @@ impl Gpu {
         Ok(module)
     }
 
-    /// Compiles what the dispatches of `recording` need and is not compiled yet, on all cores.
-    pub(super) fn compile(&self, recording: &Recording) -> Result<()> {
+    /// Compiles what the dispatches of `recording` need and is not compiled yet, on all cores, while
+    /// this thread does `meanwhile`.
+    pub(super) fn compile<T>(
+        &self,
+        recording: &Recording,
+        meanwhile: impl FnOnce() -> Result<T>,
+    ) -> Result<T> {
         let mut wanted: HashMap<PipelineKey, &Dispatch> = HashMap::new();
         for command in recording.commands() {
             if let Command::Dispatch(dispatch) = command {
@@ -434,10 +440,30 @@ impl Gpu {
                 wanted.entry(key).or_insert(dispatch);
             }
         }
-        for dispatch in wanted.values() {
-            self.pipeline(dispatch)?;
-        }
-        Ok(())
+        // Several entries of a module next to each other wait for it together.
+        let mut wanted: Vec<_> = wanted.into_iter().collect();
+        wanted.sort_by(|a, b| (a.0.2, &a.0).cmp(&(b.0.2, &b.0)));
+        let next = AtomicUsize::new(0);
+        let compile = || -> Result<()> {
+            while let Some((_, dispatch)) = wanted.get(next.fetch_add(1, Ordering::Relaxed)) {
+                self.pipeline(dispatch)?;
+            }
+            Ok(())
+        };
+        // What the driver objects to is told to the thread that asked.
+        let compile = || pollster::block_on(self.scoped("compiling shaders", compile));
+        std::thread::scope(|scope| {
+            let cores = std::thread::available_parallelism().map_or(1, usize::from);
+            let threads: Vec<_> = (0..cores).map(|_| scope.spawn(compile)).collect();
+            let result = meanwhile();
+            for thread in threads {
+                match thread.join() {
+                    Ok(compiled) => compiled?,
+                    Err(panic) => std::panic::resume_unwind(panic),
+                }
+            }
+            result
+        })
     }
 
     /// The pipeline for a dispatch, compiled on first use.

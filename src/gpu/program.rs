@@ -173,7 +173,6 @@ impl Program {
         let recording = &lowered.recording;
         let limits = gpu.device.limits();
         check_sizes(recording, &limits)?;
-        gpu.compile(recording)?;
         let guard = if options.guard { GUARD_BYTES } else { 0 };
         let assignment = lifetimes::assign(recording, options.reuse && !options.guard);
         let mut program = Self {
@@ -193,22 +192,7 @@ impl Program {
             kernels: lowered.kernels.clone(),
             shared: HashMap::new(),
         };
-        let mut slots: HashMap<usize, usize> = HashMap::new();
-        for (index, info) in recording.tensors().iter().enumerate() {
-            let Some(slot) = assignment.slot[index] else { continue };
-            program.places[index] = Some(match &info.role {
-                Role::Constant(_) => Place::Fixed(program.upload(info, like, guard)?),
-                Role::Input(_) => Place::Given(TensorId(index)),
-                Role::Transient | Role::Output => {
-                    let next = program.storage.len();
-                    let at = *slots.entry(slot).or_insert(next);
-                    if at == next {
-                        program.storage.push(assignment.storage[slot]);
-                    }
-                    Place::Slot(at)
-                }
-            });
-        }
+        gpu.compile(recording, || program.put(recording, &assignment, like, guard))?;
         // The weights are on the device: nobody needs how to make them any more.
         for info in &mut program.tensors {
             if let Role::Constant(_) = info.role {
@@ -228,6 +212,33 @@ impl Program {
             });
         }
         Ok(program)
+    }
+
+    /// Gives each tensor its place, and puts the constants on the device.
+    fn put(
+        &mut self,
+        recording: &Recording,
+        assignment: &lifetimes::Assignment,
+        like: Option<&Program>,
+        guard: u64,
+    ) -> Result<()> {
+        let mut slots: HashMap<usize, usize> = HashMap::new();
+        for (index, info) in recording.tensors().iter().enumerate() {
+            let Some(slot) = assignment.slot[index] else { continue };
+            self.places[index] = Some(match &info.role {
+                Role::Constant(_) => Place::Fixed(self.upload(info, like, guard)?),
+                Role::Input(_) => Place::Given(TensorId(index)),
+                Role::Transient | Role::Output => {
+                    let next = self.storage.len();
+                    let at = *slots.entry(slot).or_insert(next);
+                    if at == next {
+                        self.storage.push(assignment.storage[slot]);
+                    }
+                    Place::Slot(at)
+                }
+            });
+        }
+        Ok(())
     }
 
     /// Puts a constant on the device, or finds it where it is already.

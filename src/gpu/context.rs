@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use crate::error::{Error, Result};
+use crate::gpu::native::{Clock, Poller};
 use crate::gpu::program::Resource;
 use crate::kernels::{Caps, Command, Dispatch, Recording, Storage};
 use crate::shader::{self, BindingKind, Variant};
@@ -95,6 +96,8 @@ pub struct Gpu {
     uncaptured: Arc<Mutex<Option<String>>>,
     /// Bytes that wait to be uploaded.
     uploads: Mutex<u64>,
+    pub(super) poller: Poller,
+    pub(super) clock: Clock,
     /// Another text for one shader file; such a device compiles with bounds checks.
     replacement: Option<shader::Replacement>,
     modules: Mutex<HashMap<(&'static str, Variant), Arc<Module>>>,
@@ -248,6 +251,7 @@ impl Gpu {
         device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| {
             latch.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(e.to_string());
         }));
+        let poller = Poller::new(&device);
         Ok(Arc::new(Self {
             caps: caps(&info, device.features(), &device.limits()),
             device,
@@ -257,6 +261,8 @@ impl Gpu {
             lost,
             uncaptured,
             uploads: Mutex::default(),
+            poller,
+            clock: Clock::default(),
             replacement: None,
             modules: Mutex::default(),
             pipelines: Mutex::default(),
@@ -267,6 +273,7 @@ impl Gpu {
     /// shader would change, and for trying out a shader. Nothing vouches for that text, so this
     /// device compiles every shader with bounds checks, whatever its options say.
     pub fn with_replacement(&self, replacement: shader::Replacement) -> Arc<Self> {
+        let poller = Poller::new(&self.device);
         Arc::new(Self {
             device: self.device.clone(),
             queue: self.queue.clone(),
@@ -276,6 +283,8 @@ impl Gpu {
             lost: self.lost.clone(),
             uncaptured: self.uncaptured.clone(),
             uploads: Mutex::default(),
+            poller,
+            clock: Clock::default(),
             replacement: Some(replacement),
             modules: Mutex::default(),
             pipelines: Mutex::default(),
@@ -334,6 +343,10 @@ impl Gpu {
         // All three leave the stack before the first wait: the guards are not `Send`.
         let pops = (validation.pop(), internal.pop(), memory.pop());
         let errors = [pops.0.await, pops.1.await, pops.2.await];
+        if errors.iter().any(Option::is_some) {
+            // A lost device says so in the next poll; until then it only objects.
+            let _ = self.device.poll(wgpu::PollType::Poll);
+        }
         self.check_lost()?;
         match errors.into_iter().flatten().next() {
             Some(e) => Err(Error::Driver { stage: stage.into(), message: e.to_string() }),

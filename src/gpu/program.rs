@@ -348,6 +348,11 @@ impl Program {
         }
     }
 
+    /// The device.
+    pub fn gpu(&self) -> &Arc<Gpu> {
+        &self.gpu
+    }
+
     /// Pictures at a time.
     pub fn batch(&self) -> u32 {
         self.batch

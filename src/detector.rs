@@ -80,7 +80,15 @@ impl fmt::Debug for WeightSource {
 }
 
 /// How to build a [`GpuDetector`].
+///
+/// ```
+/// use smr_gpu::{Config, Device};
+///
+/// let config = Config::new("weights/smrnet.safetensors").device(Device::Cpu).score(0.5);
+/// assert_eq!(config.score, 0.5);
+/// ```
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Config {
     /// The weights.
     pub weights: WeightSource,
@@ -108,8 +116,17 @@ pub struct Config {
 impl Config {
     /// The default configuration with the weights in `file`.
     pub fn new(file: impl AsRef<Path>) -> Self {
+        Self::with_weights(WeightSource::File(file.as_ref().into()))
+    }
+
+    /// The default configuration with a weight file's bytes; `name` stands for the file in messages.
+    pub fn from_bytes(name: impl AsRef<Path>, bytes: impl Into<Arc<[u8]>>) -> Self {
+        Self::with_weights(WeightSource::Bytes(name.as_ref().into(), bytes.into()))
+    }
+
+    fn with_weights(weights: WeightSource) -> Self {
         Self {
-            weights: WeightSource::File(file.as_ref().into()),
+            weights,
             device: Device::default(),
             input_size: None,
             score: 0.05,
@@ -120,6 +137,60 @@ impl Config {
             checked: false,
             keep_stages: false,
         }
+    }
+
+    /// Sets [`Config::device`].
+    pub fn device(mut self, device: Device) -> Self {
+        self.device = device;
+        self
+    }
+
+    /// Sets [`Config::input_size`].
+    pub fn input_size(mut self, pixels: usize) -> Self {
+        self.input_size = Some(pixels);
+        self
+    }
+
+    /// Sets [`Config::score`].
+    pub fn score(mut self, above: f32) -> Self {
+        self.score = above;
+        self
+    }
+
+    /// Sets [`Config::iou`].
+    pub fn iou(mut self, most: f32) -> Self {
+        self.iou = most;
+        self
+    }
+
+    /// Sets [`Config::max_detections`].
+    pub fn max_detections(mut self, most: usize) -> Self {
+        self.max_detections = most;
+        self
+    }
+
+    /// Sets [`Config::classes`].
+    pub fn classes(mut self, names: impl IntoIterator<Item = impl Into<String>>) -> Self {
+        self.classes = names.into_iter().map(Into::into).collect();
+        self
+    }
+
+    /// Sets [`Config::timeout`].
+    pub fn timeout(mut self, longest: Duration) -> Self {
+        self.timeout = longest;
+        self
+    }
+
+    /// Sets [`Config::checked`].
+    pub fn checked(mut self, checked: bool) -> Self {
+        self.checked = checked;
+        self
+    }
+
+    /// Sets [`Config::keep_stages`].
+    pub fn keep_stages(mut self, keep: bool) -> Self {
+        self.keep_stages = keep;
+        self
     }
 
     fn thresholds(&self, model: &ModelConfig) -> Result<Thresholds> {
@@ -155,12 +226,17 @@ impl Config {
 
 /// One snap in a picture.
 #[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Detection {
     /// Class name.
     pub class: String,
+    /// The class's place in [`ModelConfig::classes`].
+    pub class_index: usize,
     /// Confidence from 0 to 1.
     pub score: f32,
-    /// Corners (x1, y1, x2, y2) in pixels of the picture; pixel i covers `[i, i + 1]`.
+    /// Corners (x1, y1, x2, y2) in pixels of the picture; pixel i covers `[i, i + 1]`. Serialised as
+    /// `box`.
+    #[cfg_attr(feature = "serde", serde(rename = "box"))]
     pub bbox: [f32; 4],
     /// Centre of the box on the gel in millimetres, from the middle of the picture or of its crop: x
     /// right, y down.
@@ -168,7 +244,8 @@ pub struct Detection {
 }
 
 /// What a picture holds, and what finding it took.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Detections {
     /// The snaps, best first.
     pub detections: Vec<Detection>,
@@ -180,7 +257,8 @@ pub struct Detections {
     pub proposals: u32,
     /// Time by stage on the device; empty where it has no timestamps.
     pub stages: Vec<StageTime>,
-    /// Time from picture to detections.
+    /// Time from picture to detections; serialised as `wall_ms`.
+    #[cfg_attr(feature = "serde", serde(rename = "wall_ms", with = "crate::milliseconds"))]
     pub wall: Duration,
 }
 
@@ -559,12 +637,14 @@ impl Input {
             .map(|((b, score), class)| {
                 let bbox = std::array::from_fn(|i| b[i] * scale + origin[i % 2]);
                 let center = |i: usize| (bbox[i] + bbox[i + 2]) / 2.0 - self.middle[i];
-                let name = config.classes.get((*class as usize).wrapping_sub(1));
+                let class_index = (*class as usize).wrapping_sub(1);
+                let name = config.classes.get(class_index);
                 let name = name.ok_or_else(|| {
                     Error::tensor("detect", "detections.labels", "a class of the weights", class)
                 })?;
                 Ok(Detection {
                     class: name.clone(),
+                    class_index,
                     score: *score,
                     bbox,
                     center_mm: [0, 1].map(|i| center(i) * mm_per_pixel),
@@ -606,14 +686,48 @@ fn check_finite(network: &Network, values: &Values) -> Result<()> {
 mod tests {
     use super::*;
 
+    /// The names that `smr-gpu detect --json` prints, and all of it back.
+    #[cfg(feature = "serde")]
+    #[test]
+    fn detections_are_serialised() {
+        let stages = vec![StageTime { stage: "input".into(), time: Duration::from_micros(1500) }];
+        let detection = Detection {
+            class: "B".into(),
+            class_index: 1,
+            score: 0.75,
+            bbox: [1.0, 2.5, 3.0, 4.0],
+            center_mm: [-0.5, 0.25],
+        };
+        let found = Detections {
+            detections: vec![detection],
+            width: 640,
+            height: 480,
+            proposals: 7,
+            stages,
+            wall: Duration::from_millis(20),
+        };
+        let json = serde_json::to_value(&found).expect("serialised");
+        let want = serde_json::json!({
+            "detections": [{
+                "class": "B", "class_index": 1, "score": 0.75,
+                "box": [1.0, 2.5, 3.0, 4.0], "center_mm": [-0.5, 0.25]
+            }],
+            "width": 640, "height": 480, "proposals": 7,
+            "stages": [{"stage": "input", "ms": 1.5}],
+            "wall_ms": 20.0
+        });
+        assert_eq!(json, want);
+        assert_eq!(serde_json::from_value::<Detections>(want).expect("read"), found);
+        let negative = r#"{"stage": "input", "ms": -1.0}"#;
+        assert!(serde_json::from_str::<StageTime>(negative).is_err());
+    }
+
     #[test]
     fn a_line_for_people() {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors");
         let bytes = std::fs::read(file).expect("the weights");
         let length = bytes.len();
-        let mut config = Config::new("");
-        config.weights = WeightSource::Bytes("memory".into(), bytes.into());
-        config.device = Device::Reference;
+        let config = Config::from_bytes("memory", bytes).device(Device::Reference);
         let line = format!("{config:?}");
         assert!(line.contains(&format!(r#"Bytes("memory", {length} bytes)"#)), "{line}");
         let detector = GpuDetector::new(config).expect("a detector");

@@ -19,10 +19,12 @@ pub struct TensorId(pub usize);
 
 /// Time that one stage took.
 #[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct StageTime {
     /// Stage name.
     pub stage: String,
-    /// Time on the device.
+    /// Time on the device; serialised as `ms`.
+    #[cfg_attr(feature = "serde", serde(rename = "ms", with = "crate::milliseconds"))]
     pub time: Duration,
 }
 

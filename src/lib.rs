@@ -81,6 +81,8 @@ pub mod kernels;
 pub mod lower;
 #[cfg(feature = "eval")]
 pub mod metrics;
+#[cfg(feature = "serde")]
+mod milliseconds;
 pub mod model;
 pub mod ops;
 #[cfg(feature = "picture")]

@@ -156,6 +156,7 @@ fn a_frame_gives_what_its_picture_gives() {
     assert_eq!(found.detections.len(), want.len());
     for (a, b) in want.iter().zip(&found.detections) {
         assert_eq!((&a.class, a.score), (&b.class, b.score));
+        assert_eq!(detector.model().classes[b.class_index], b.class);
         let moved = [left, top, left, top].map(|v| v as f32);
         for (i, by) in moved.into_iter().enumerate() {
             assert!((b.bbox[i] - a.bbox[i] - by).abs() < 1e-3, "{a:?} {b:?}");

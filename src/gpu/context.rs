@@ -17,6 +17,8 @@ pub enum AdapterChoice {
     /// The fastest kind: discrete, integrated, virtual, then software.
     #[default]
     Auto,
+    /// The same without software adapters.
+    Hardware,
     /// Position in the list that [`adapters`] returns; past its end, part of a name ("4090").
     Index(usize),
     /// Part of the adapter's name, in any case.
@@ -27,6 +29,7 @@ impl std::fmt::Display for AdapterChoice {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Auto => f.write_str("auto"),
+            Self::Hardware => f.write_str("a hardware adapter"),
             Self::Index(i) => write!(f, "{i}"),
             Self::Name(n) => f.write_str(n),
         }
@@ -222,6 +225,10 @@ impl Gpu {
         };
         let adapter = match &options.adapter {
             AdapterChoice::Auto => found.iter().find(|a| lacks(&a.limits()).is_empty()),
+            AdapterChoice::Hardware => found.iter().find(|a| {
+                let software = a.get_info().device_type == wgpu::DeviceType::Cpu;
+                !software && lacks(&a.limits()).is_empty()
+            }),
             AdapterChoice::Index(i) => found.get(*i).or_else(|| named(&found, &i.to_string())),
             AdapterChoice::Name(part) => named(&found, part),
         }

@@ -33,7 +33,7 @@ impl Deadline {
     }
 
     /// Wakes a future when the time is up.
-    pub(super) fn wake(&self, gpu: &Gpu, waker: &Waker) {
+    pub(crate) fn wake(&self, gpu: &Gpu, waker: &Waker) {
         if let Some(at) = self.at {
             gpu.clock.wake_at(at, waker.clone());
         }
@@ -80,6 +80,15 @@ impl Landing {
         Self { state, start }
     }
 
+    /// Wakes `waker` when it is.
+    pub fn wake_when_over(&self, waker: &Waker) {
+        let mut state = lock(&self.state);
+        match state.result {
+            Some(_) => waker.wake_by_ref(),
+            None => state.waker = Some(waker.clone()),
+        }
+    }
+
     /// Whether the device is done with the buffer, for good or ill.
     pub fn is_over(&self) -> bool {
         lock(&self.state).result.is_some()
@@ -105,7 +114,10 @@ impl Landing {
             Poll::Pending
         })
         .await;
-        // A lost device refuses the map, and says so.
+        if let Some(Err(_)) = &told {
+            // A lost device refuses the map, and says so in the next poll.
+            let _ = gpu.device.poll(wgpu::PollType::Poll);
+        }
         gpu.check_lost()?;
         match told {
             Some(Ok(())) => Ok(()),

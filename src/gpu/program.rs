@@ -6,9 +6,10 @@ use std::sync::Arc;
 use crate::error::{Error, Result};
 use crate::gpu::context::{Gpu, Pipeline};
 use crate::graph::TensorId;
-use crate::kernels::{Command, Dispatch, Grid, Recording, Role, Storage, TensorInfo};
+use crate::kernels::{Command, Dispatch, Grid, Layout, Recording, Role, Storage, TensorInfo};
 use crate::lower::{Lowered, lifetimes};
 use crate::shader::BindingKind;
+use crate::shape::Extent;
 
 /// Uniform bindings start at multiples of this on every adapter.
 const UNIFORM_ALIGN: usize = 256;
@@ -227,8 +228,9 @@ impl Program {
             let Some(slot) = assignment.slot[index] else { continue };
             self.places[index] = Some(match &info.role {
                 Role::Constant(_) => Place::Fixed(self.upload(info, like, guard)?),
-                Role::Input(_) => Place::Given(TensorId(index)),
-                Role::Transient | Role::Output => {
+                // Of a size of its own for each picture.
+                Role::Input(Extent::UpTo) => Place::Given(TensorId(index)),
+                Role::Input(Extent::Exact) | Role::Transient | Role::Output => {
                     let next = self.storage.len();
                     let at = *slots.entry(slot).or_insert(next);
                     if at == next {
@@ -328,7 +330,13 @@ impl Program {
         let info = &self.tensors[id.0];
         let picture = dispatch.picture.filter(|_| self.batch > 1)?;
         match self.places[id.0]? {
-            Place::Slot(_) => Some((u64::from(picture) * info.stride, info.spec.bytes().max(4))),
+            Place::Slot(_) => {
+                let bytes = match info.layout {
+                    Layout::Planar => info.spec.bytes().max(4),
+                    Layout::Quads | Layout::Texture => info.stride,
+                };
+                Some((u64::from(picture) * info.stride, bytes))
+            }
             // A constant serves all pictures, and each picture's inputs are their own.
             Place::Fixed(_) | Place::Given(_) => None,
         }
@@ -367,7 +375,7 @@ impl Program {
 fn check_sizes(recording: &Recording, limits: &wgpu::Limits) -> Result<()> {
     for info in recording.tensors() {
         let (what, needed, available) = match info.storage {
-            _ if matches!(info.role, Role::Input(crate::shape::Extent::UpTo)) => continue,
+            _ if matches!(info.role, Role::Input(Extent::UpTo)) => continue,
             Storage::Buffer { bytes } => ("bytes", bytes, limits.max_storage_buffer_binding_size),
             Storage::Texture { width, height } => (
                 "texels of a side",

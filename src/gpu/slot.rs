@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::sync::Arc;
+use std::task::Waker;
 use std::time::{Duration, Instant};
 
 use crate::error::{Error, Result};
@@ -170,6 +171,14 @@ impl Slot {
         self.in_flight.as_ref().is_none_or(Landing::is_over)
     }
 
+    /// Wakes `waker` when no run is under way any more.
+    pub fn wake_when_free(&self, waker: &Waker) {
+        match &self.in_flight {
+            Some(landing) => landing.wake_when_over(waker),
+            None => waker.wake_by_ref(),
+        }
+    }
+
     /// Waits for a run that nobody received, and forgets it.
     ///
     /// # Errors
@@ -244,8 +253,24 @@ impl Slot {
         }
     }
 
-    /// Writes an input of a picture, in a larger buffer if it needs one.
+    /// Writes an input of a picture.
     fn give(&mut self, id: TensorId, picture: u32, value: &Value) {
+        let program = self.program.clone();
+        match program.places[id.0] {
+            Some(Place::Given(_)) => self.give_alone(id, picture, value),
+            Some(place) => {
+                if let Some(Resource::Buffer(buffer)) = self.resource(place, picture) {
+                    let offset = u64::from(picture) * program.tensors[id.0].stride;
+                    program.gpu.queue.write_buffer(&buffer, offset, value.bytes());
+                }
+            }
+            // Nothing reads it.
+            None => {}
+        }
+    }
+
+    /// Writes an input of a size of its own, in a larger buffer if it needs one.
+    fn give_alone(&mut self, id: TensorId, picture: u32, value: &Value) {
         let program = self.program.clone();
         let gpu = &program.gpu;
         let bytes = value.bytes().len().max(4) as u64;

@@ -14,6 +14,7 @@ shader_params! {
     struct Params {
         channels: u32,
         hidden: u32,
+        zero: u32,
     }
 }
 
@@ -94,7 +95,7 @@ impl Op for ChannelGate {
                 available: CAPACITY as u64,
             });
         }
-        let params = Params { channels: channels as u32, hidden: hidden as u32 };
+        let params = Params { channels: channels as u32, hidden: hidden as u32, zero: 0 };
         let mut bindings: Vec<_> = self.inputs().into_iter().zip(inputs.iter().copied()).collect();
         bindings.push(("output", outputs[0]));
         let grid = Grid::Workgroups([1, 1, 1]);

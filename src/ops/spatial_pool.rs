@@ -14,6 +14,7 @@ shader_params! {
     struct Params {
         channels: u32,
         area: u32,
+        zero: u32,
     }
 }
 
@@ -76,7 +77,7 @@ impl Op for SpatialPool {
         outputs: &[TensorId],
     ) -> Result<()> {
         let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
-        let params = Params { channels, area: height * width };
+        let params = Params { channels, area: height * width, zero: 0 };
         let bindings = [("input", inputs[0]), ("channel_gate", inputs[1]), ("output", outputs[0])];
         let grid = Grid::linear(params.area as usize, PIXELS as u32);
         recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));

@@ -16,6 +16,7 @@ shader_params! {
         area: u32,
         k: u32,
         sort_size: u32,
+        zero: u32,
     }
 }
 
@@ -118,6 +119,7 @@ impl Op for TopK {
             area: area as u32,
             k: k as u32,
             sort_size: k.next_power_of_two() as u32,
+            zero: 0,
         };
         let bindings = [
             ("scores", inputs[0]),

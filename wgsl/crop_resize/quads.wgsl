@@ -1,0 +1,113 @@
+// A square crop of a packed RGBA8 picture, resized to size x size and normalised, as a map
+// of three channels, four a texel.
+//
+// The mean is subtracted in two parts: a whole number of levels from each pixel, which is exact, and
+// the rest at the end. So a picture near its mean loses no digits to the subtraction.
+//
+// The filter is a triangle, widened where the picture shrinks. Distances are counted in
+// 1 / (2 size) of a picture's pixel: pixel j has its centre at (2j + 1) size, output i at
+// (2i + 1) side, and the triangle reaches 2 max(side, size). All are integers, so that each weight
+// is exact.
+
+// A workgroup is 8 x 8 pixels.
+
+// include: quads
+
+struct Params {
+    map: Quads,
+    size: u32,
+    capacity: u32,
+    // Elements of a picture of each buffer.
+    picture_stride: u32,
+    crop_stride: u32,
+    shift_r: f32,
+    shift_g: f32,
+    shift_b: f32,
+    rest_r: f32,
+    rest_g: f32,
+    rest_b: f32,
+    std_r: f32,
+    std_g: f32,
+    std_b: f32,
+    pad0: u32,
+    pad1: u32,
+    pad2: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+// Red in the low byte, row-major.
+@group(0) @binding(1) var<storage, read> picture: array<u32>;
+// Picture width, picture height, crop x, crop y, crop side.
+@group(0) @binding(2) var<storage, read> crop: array<u32>;
+@group(0) @binding(3) var<storage, read_write> output: array<vec4<f32>>;
+
+// The pixels first..end of the crop, along one axis, that one output sees.
+struct Taps {
+    centre: u32,
+    reach: u32,
+    first: u32,
+    end: u32,
+}
+
+fn taps(i: u32, side: u32) -> Taps {
+    let size = params.size;
+    let centre = (2u * i + 1u) * side;
+    let reach = 2u * max(side, size);
+    var first = 0u;
+    if centre >= reach + size {
+        first = (centre - reach - size) / (2u * size) + 1u;
+    }
+    let end = min((centre + reach + size - 1u) / (2u * size), side);
+    return Taps(centre, reach, first, end);
+}
+
+fn weight(t: Taps, j: u32) -> f32 {
+    let at = (2u * j + 1u) * params.size;
+    return f32(t.reach - (max(at, t.centre) - min(at, t.centre)));
+}
+
+fn total_weight(t: Taps) -> f32 {
+    var total = 0.0;
+    for (var j = t.first; j < t.end; j++) {
+        total += weight(t, j);
+    }
+    return total;
+}
+
+@compute @workgroup_size(8, 8)
+fn main(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(local_invocation_id) local: vec3<u32>,
+) {
+    let map = params.map;
+    let pixel = workgroup.xy * 8u + local.xy;
+    if pixel.x >= map.width || pixel.y >= map.height {
+        return;
+    }
+    let first_crop = workgroup.z * params.crop_stride;
+    let first_pixel = workgroup.z * params.picture_stride;
+    let width = crop[first_crop];
+    // The crop is data: no side is longer than the picture's, nor than the buffer.
+    let side = min(crop[first_crop + 4u], min(min(width, crop[first_crop + 1u]), params.capacity));
+    let rows = taps(pixel.y, side);
+    let columns = taps(pixel.x, side);
+    let shift = vec3<f32>(params.shift_r, params.shift_g, params.shift_b);
+    let corner = crop[first_crop + 3u] * width + crop[first_crop + 2u];
+    var total = vec3<f32>(0.0);
+    for (var j = rows.first; j < rows.end; j++) {
+        let start = corner + j * width;
+        var row = vec3<f32>(0.0);
+        for (var i = columns.first; i < columns.end; i++) {
+            // Nor is anything read outside the picture's buffer, whatever the corner says.
+            let packed = picture[first_pixel + min(start + i, params.capacity - 1u)];
+            let rgb = vec3<u32>(packed & 255u, (packed >> 8u) & 255u, (packed >> 16u) & 255u);
+            row = fma(vec3<f32>(weight(columns, i)), vec3<f32>(rgb) - shift, row);
+        }
+        total = fma(vec3<f32>(weight(rows, j)), row, total);
+    }
+    let value = total / (total_weight(rows) * total_weight(columns) * 255.0);
+    let rest = vec3<f32>(params.rest_r, params.rest_g, params.rest_b);
+    let deviation = vec3<f32>(params.std_r, params.std_g, params.std_b);
+    let to = texel_index(map, texel(map, workgroup.z, 0u, pixel.y, pixel.x));
+    output[to] = vec4((value - rest) / deviation, 0.0);
+}

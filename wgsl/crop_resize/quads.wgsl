@@ -9,7 +9,8 @@
 // (2i + 1) side, and the triangle reaches 2 max(side, size). All are integers, so that each weight
 // is exact.
 
-// A workgroup is 8 x 8 pixels.
+// An invocation computes four pixels of a column, which share the sums of the picture's rows; a
+// workgroup is 8 x 8 such columns.
 
 // include: quads
 
@@ -61,9 +62,11 @@ fn taps(i: u32, side: u32) -> Taps {
     return Taps(centre, reach, first, end);
 }
 
+// The weight of pixel `j`, zero past the triangle's reach.
 fn weight(t: Taps, j: u32) -> f32 {
     let at = (2u * j + 1u) * params.size;
-    return f32(t.reach - (max(at, t.centre) - min(at, t.centre)));
+    let distance = max(at, t.centre) - min(at, t.centre);
+    return f32(t.reach - min(distance, t.reach));
 }
 
 fn total_weight(t: Taps) -> f32 {
@@ -74,14 +77,24 @@ fn total_weight(t: Taps) -> f32 {
     return total;
 }
 
+fn store(at: vec2<u32>, y: u32, value: vec3<f32>) {
+    if y >= params.map.height {
+        return;
+    }
+    let rest = vec3(params.rest_r, params.rest_g, params.rest_b);
+    let deviation = vec3(params.std_r, params.std_g, params.std_b);
+    output[texel_index(params.map, at)] = vec4((value - rest) / deviation, 0.0);
+}
+
 @compute @workgroup_size(8, 8)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_id) local: vec3<u32>,
 ) {
     let map = params.map;
-    let pixel = workgroup.xy * 8u + local.xy;
-    if pixel.x >= map.width || pixel.y >= map.height {
+    let x = workgroup.x * 8u + local.x;
+    let y = (workgroup.y * 8u + local.y) * 4u;
+    if x >= map.width || y >= map.height {
         return;
     }
     let first_crop = workgroup.z * params.crop_stride;
@@ -89,25 +102,43 @@ fn main(
     let width = crop[first_crop];
     // The crop is data: no side is longer than the picture's, nor than the buffer.
     let side = min(crop[first_crop + 4u], min(min(width, crop[first_crop + 1u]), params.capacity));
-    let rows = taps(pixel.y, side);
-    let columns = taps(pixel.x, side);
-    let shift = vec3<f32>(params.shift_r, params.shift_g, params.shift_b);
+    // Rows past the last repeat it; nobody stores them.
+    let last = map.height - 1u;
+    let rows0 = taps(y, side);
+    let rows1 = taps(min(y + 1u, last), side);
+    let rows2 = taps(min(y + 2u, last), side);
+    let rows3 = taps(min(y + 3u, last), side);
+    let columns = taps(x, side);
+    let shift = vec3(params.shift_r, params.shift_g, params.shift_b);
     let corner = crop[first_crop + 3u] * width + crop[first_crop + 2u];
-    var total = vec3<f32>(0.0);
-    for (var j = rows.first; j < rows.end; j++) {
+    // How far the first column is from the centre, and from one to the next: integers in f32.
+    let start_distance = f32(i32(columns.centre - (2u * columns.first + 1u) * params.size));
+    let step = f32(2u * params.size);
+    let reach = f32(columns.reach);
+    var total0 = vec3(0.0);
+    var total1 = vec3(0.0);
+    var total2 = vec3(0.0);
+    var total3 = vec3(0.0);
+    for (var j = rows0.first; j < rows3.end; j++) {
         let start = corner + j * width;
-        var row = vec3<f32>(0.0);
+        var row = vec3(0.0);
+        var distance = start_distance;
         for (var i = columns.first; i < columns.end; i++) {
             // Nor is anything read outside the picture's buffer, whatever the corner says.
             let packed = picture[first_pixel + min(start + i, params.capacity - 1u)];
-            let rgb = vec3<u32>(packed & 255u, (packed >> 8u) & 255u, (packed >> 16u) & 255u);
-            row = fma(vec3<f32>(weight(columns, i)), vec3<f32>(rgb) - shift, row);
+            let rgb = vec3(packed & 255u, (packed >> 8u) & 255u, (packed >> 16u) & 255u);
+            row = fma(vec3(reach - abs(distance)), vec3<f32>(rgb) - shift, row);
+            distance -= step;
         }
-        total = fma(vec3<f32>(weight(rows, j)), row, total);
+        total0 = fma(vec3(weight(rows0, j)), row, total0);
+        total1 = fma(vec3(weight(rows1, j)), row, total1);
+        total2 = fma(vec3(weight(rows2, j)), row, total2);
+        total3 = fma(vec3(weight(rows3, j)), row, total3);
     }
-    let value = total / (total_weight(rows) * total_weight(columns) * 255.0);
-    let rest = vec3<f32>(params.rest_r, params.rest_g, params.rest_b);
-    let deviation = vec3<f32>(params.std_r, params.std_g, params.std_b);
-    let to = texel_index(map, texel(map, workgroup.z, 0u, pixel.y, pixel.x));
-    output[to] = vec4((value - rest) / deviation, 0.0);
+    let scale = total_weight(columns) * 255.0;
+    let at = texel(map, workgroup.z, 0u, y, x);
+    store(at, y, total0 / (total_weight(rows0) * scale));
+    store(at + vec2(0u, 1u), y + 1u, total1 / (total_weight(rows1) * scale));
+    store(at + vec2(0u, 2u), y + 2u, total2 / (total_weight(rows2) * scale));
+    store(at + vec2(0u, 3u), y + 3u, total3 / (total_weight(rows3) * scale));
 }

@@ -3,7 +3,7 @@
 // empty as padding is at most half the kernel.
 //
 // GATED: of input * channel gate * spatial gate, with the same bits as apply_gates gives. A workgroup
-// is eight rows of a quad; an invocation goes along its row in steps of eight pixels.
+// is eight rows of two quads; an invocation goes along its row in steps of eight pixels.
 
 // include: quads
 
@@ -19,6 +19,8 @@ struct Params {
     pad1: u32,
     pad2: u32,
 }
+
+const LOWEST: f32 = -0x1.fffffep+127f;
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> input: array<vec4<f32>>;
@@ -42,6 +44,13 @@ fn is_nan(x: vec4<f32>) -> vec4<bool> {
     return (bitcast<vec4<u32>>(x) & vec4(0x7fffffffu)) > vec4(0x7f800000u);
 }
 
+#if GATED
+// Which of a quad's channels there are: the gates of the others are undefined, the channels zero.
+fn is_channel(quad: u32) -> vec4<bool> {
+    return vec4(4u * quad) + vec4(0u, 1u, 2u, 3u) < vec4(params.input.channels);
+}
+#endif
+
 @compute @workgroup_size(8, 8)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
@@ -49,25 +58,32 @@ fn main(
 ) {
     let source = params.input;
     let to = params.output;
-    let quad = workgroup.y;
     let y = workgroup.x * 8u + local.y;
     if y >= to.height {
         return;
     }
+    // Where there is no second quad, the first is computed twice.
+    let quads = vec2(2u * workgroup.y, min(2u * workgroup.y + 1u, to.quads - 1u));
     let rows = window(y, source.height);
     let row_texels = source.columns * source.pitch;
-    let first = texel_index(source, texel(source, workgroup.z, quad, rows.x, 0u));
-    let out_row = texel_index(to, texel(to, workgroup.z, quad, y, 0u));
+    let first = vec2(
+        texel_index(source, texel(source, workgroup.z, quads.x, rows.x, 0u)),
+        texel_index(source, texel(source, workgroup.z, quads.y, rows.x, 0u)),
+    );
+    let out_row = vec2(
+        texel_index(to, texel(to, workgroup.z, quads.x, y, 0u)),
+        texel_index(to, texel(to, workgroup.z, quads.y, y, 0u)),
+    );
 #if GATED
-    // The gates of channels past the last are undefined, those channels zero.
-    let live = vec4(4u * quad) + vec4(0u, 1u, 2u, 3u) < vec4(source.channels);
-    let gate = channel_gate[workgroup.z * params.channel_gate_stride / 4u + quad];
-    let by_channel = select(vec4(0.0), gate, live);
+    let gates = vec2(workgroup.z * params.channel_gate_stride / 4u) + quads;
+    let gate0 = select(vec4(0.0), channel_gate[gates.x], is_channel(quads.x));
+    let gate1 = select(vec4(0.0), channel_gate[gates.y], is_channel(quads.y));
     let first_gate = workgroup.z * params.spatial_gate_stride + rows.x * source.width;
 #endif
     for (var x = local.x; x < to.width; x += 8u) {
         let columns = window(x, source.width);
-        var largest = vec4(-0x1.fffffep+127f);
+        var largest0 = vec4(LOWEST);
+        var largest1 = vec4(LOWEST);
         var row = first;
 #if GATED
         var gate_row = first_gate;
@@ -75,17 +91,22 @@ fn main(
         for (var iy = rows.x; iy < rows.y; iy++) {
             for (var ix = columns.x; ix < columns.y; ix++) {
 #if GATED
-                let value = input[row + ix] * by_channel * spatial_gate[gate_row + ix];
+                let gate = spatial_gate[gate_row + ix];
+                let value0 = input[row.x + ix] * gate0 * gate;
+                let value1 = input[row.y + ix] * gate1 * gate;
 #else
-                let value = input[row + ix];
+                let value0 = input[row.x + ix];
+                let value1 = input[row.y + ix];
 #endif
-                largest = select(largest, value, (value > largest) | is_nan(value));
+                largest0 = select(largest0, value0, (value0 > largest0) | is_nan(value0));
+                largest1 = select(largest1, value1, (value1 > largest1) | is_nan(value1));
             }
             row += row_texels;
 #if GATED
             gate_row += source.width;
 #endif
         }
-        output[out_row + x] = largest;
+        output[out_row.x + x] = largest0;
+        output[out_row.y + x] = largest1;
     }
 }

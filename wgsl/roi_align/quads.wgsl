@@ -25,11 +25,7 @@ struct Params {
 #endif
 @group(0) @binding(2) var<storage, read> boxes: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> count: array<u32>;
-#if BINS_FIRST
-@group(0) @binding(4) var<storage, read_write> output: array<vec4<f32>>;
-#else
 @group(0) @binding(4) var<storage, read_write> output: array<f32>;
-#endif
 
 // The two neighbours of a coordinate on one axis, and the weight of the upper one.
 struct Neighbours {
@@ -57,7 +53,7 @@ fn load(origin: vec2<u32>, y: u32, x: u32) -> vec4<f32> {
 }
 
 // A sample of the quad that begins at `origin`.
-fn sample(origin: vec2<u32>, y: Neighbours, x: Neighbours) -> vec4<f32> {
+fn bilinear(origin: vec2<u32>, y: Neighbours, x: Neighbours) -> vec4<f32> {
     let top = (1.0 - x.weight) * load(origin, y.low, x.low)
         + x.weight * load(origin, y.low, x.high);
     let bottom = (1.0 - x.weight) * load(origin, y.high, x.low)
@@ -71,14 +67,10 @@ fn store(picture: u32, roi: u32, bin: u32, quad: u32, value: vec4<f32>) {
     if quad >= map.quads {
         return;
     }
-#if BINS_FIRST
-    output[picture * params.output_stride / 4u + (roi * bins + bin) * map.quads + quad] = value;
-#else
     let first = picture * params.output_stride + (roi * map.channels + 4u * quad) * bins + bin;
     for (var i = 0u; i < min(4u, map.channels - 4u * quad); i++) {
         output[first + i * bins] = value[i];
     }
-#endif
 }
 
 @compute @workgroup_size(64)
@@ -120,10 +112,10 @@ fn main(
         let y = neighbours(corner.y + (f32(iy) + 0.5) * step.y, map.height);
         for (var ix = 0u; ix < params.ratio; ix++) {
             let x = neighbours(corner.x + (f32(ix) + 0.5) * step.x, map.width);
-            sum0 += sample(at0, y, x);
-            sum1 += sample(at1, y, x);
-            sum2 += sample(at2, y, x);
-            sum3 += sample(at3, y, x);
+            sum0 += bilinear(at0, y, x);
+            sum1 += bilinear(at1, y, x);
+            sum2 += bilinear(at2, y, x);
+            sum3 += bilinear(at3, y, x);
         }
     }
     let samples = f32(params.ratio * params.ratio);

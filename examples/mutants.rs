@@ -25,9 +25,10 @@ use clap::Parser;
 use mutate::Mutant;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
+use smr_gpu::check::check_expected;
 use smr_gpu::gpu::{Gpu, GpuOptions};
 use smr_gpu::ops::{Case, Entry, Expected};
-use smr_gpu::{Config, GpuDetector};
+use smr_gpu::{Config, Frame, GpuDetector};
 
 /// Longest run of one shader.
 const RUN: Duration = Duration::from_secs(60);
@@ -292,10 +293,10 @@ struct Noticed {
 
 fn noticed(gpu: &Arc<Gpu>, expected: &Expected) -> Option<Noticed> {
     let has_hand = expected.case().by_hand.is_some();
-    match expected.check(gpu) {
+    match check_expected(gpu, expected, &expected.case().inputs) {
         Ok(report) if report.failures.is_empty() => None,
         Ok(report) => {
-            let by_hand = report.failures.iter().any(|f| f.contains(": shader by hand: "));
+            let by_hand = report.failures.iter().any(|f| f.contains(": kernel by hand: "));
             Some(Noticed { how: String::new(), by_hand, hangs: false })
         }
         Err(smr_gpu::Error::Timeout { .. }) => {
@@ -318,7 +319,7 @@ fn differs(gpu: &Arc<Gpu>) -> Result<Option<bool>, Box<dyn Error>> {
     config.score = 0.5;
     let picture = image::open(root.join("samples/mixed.png"))?;
     let detector = pollster::block_on(GpuDetector::on_device(gpu.clone(), config))?;
-    Ok(match detector.compare(&picture) {
+    Ok(match detector.compare(&Frame::from(&picture)) {
         Ok(found) => Some(found.failures().next().is_some()),
         Err(smr_gpu::Error::Timeout { .. }) => None,
         Err(_) => Some(true),

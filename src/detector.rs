@@ -1,24 +1,21 @@
 //! [`GpuDetector`]: a picture in, snaps out.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use image::DynamicImage;
-
 use crate::comparison::{self, ChoiceComparison, Shift, StageComparison, Values};
 use crate::error::{Error, Result};
-use crate::gpu::{AdapterChoice, Gpu, GpuOptions, Plan, PlanOptions, StageTime, TensorId};
+use crate::gpu::{AdapterChoice, Gpu, GpuOptions, ProgramOptions, Slot};
+use crate::graph::{StageTime, TensorId};
+use crate::frame::{Frame, Square};
+#[cfg(feature = "cpu")]
 use crate::host::HostPlan;
 use crate::model::{ModelConfig, Network, Thresholds, Weights};
 use crate::ops::Crop;
 use crate::tensor::{Tensor, Value};
 
-/// Pixels for which a detector makes room at first: the sensor's 1000 × 1000. It grows when a
-/// larger picture comes.
-const FIRST_CAPACITY: usize = 1000 * 1000;
-/// Pixels of the largest picture: as RGBA8 they fill the 128 MiB that every device can bind.
-pub const MAX_PIXELS: usize = (128 << 20) / 4;
 /// Most detections a picture may have.
 const MAX_DETECTIONS: usize = 100;
 
@@ -27,7 +24,7 @@ const MAX_DETECTIONS: usize = 100;
 pub enum Device {
     /// A GPU, or a software adapter that acts as one.
     Gpu(AdapterChoice),
-    /// This machine's CPU, in f32.
+    /// This machine's CPU, in f32. Needs the feature `cpu`.
     Cpu,
     /// The f64 reference, to which the others are held; slow.
     Reference,
@@ -64,12 +61,22 @@ impl std::str::FromStr for Device {
 }
 
 /// Where the weights are.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub enum WeightSource {
     /// A safetensors file.
     File(PathBuf),
     /// A safetensors file's bytes, with a name for messages.
     Bytes(PathBuf, Arc<[u8]>),
+}
+
+impl fmt::Debug for WeightSource {
+    /// A line, without the bytes.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File(path) => write!(f, "File({path:?})"),
+            Self::Bytes(name, bytes) => write!(f, "Bytes({name:?}, {} bytes)", bytes.len()),
+        }
+    }
 }
 
 /// How to build a [`GpuDetector`].
@@ -155,7 +162,8 @@ pub struct Detection {
     pub score: f32,
     /// Corners (x1, y1, x2, y2) in pixels of the picture; pixel i covers `[i, i + 1]`.
     pub bbox: [f32; 4],
-    /// Centre of the box on the gel in millimetres, from the picture's centre: x right, y down.
+    /// Centre of the box on the gel in millimetres, from the middle of the picture or of its crop: x
+    /// right, y down.
     pub center_mm: [f32; 2],
 }
 
@@ -230,7 +238,6 @@ pub type Stages = Vec<(String, Value)>;
 
 /// Finds snap joints in pictures. Build it once; it holds the device, the compiled shaders, the
 /// weights and all buffers. Pictures given from several threads take turns.
-#[derive(Debug)]
 pub struct GpuDetector {
     config: Config,
     model: ModelConfig,
@@ -238,17 +245,23 @@ pub struct GpuDetector {
     engine: Mutex<Engine>,
 }
 
-#[derive(Debug)]
 struct Engine {
     network: Network,
-    capacity: usize,
-    weights: Weights,
     runner: Runner,
 }
 
-#[derive(Debug)]
+impl fmt::Debug for GpuDetector {
+    /// A line: what runs which network.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ModelConfig { input_size, classes, .. } = &self.model;
+        let (classes, adapter) = (classes.join(", "), &self.adapter);
+        write!(f, "GpuDetector({input_size} × {input_size}, classes {classes}, on {adapter})")
+    }
+}
+
 enum Runner {
-    Gpu { gpu: Arc<Gpu>, plan: Box<Plan> },
+    Gpu(Box<Slot>),
+    #[cfg(feature = "cpu")]
     Host(Box<HostPlan>),
     Reference,
 }
@@ -292,12 +305,18 @@ impl GpuDetector {
         };
         let model = weights.config().clone();
         let thresholds = config.thresholds(&model)?;
-        let network = Network::new(weights.clone(), FIRST_CAPACITY, thresholds)?;
+        let network = Network::new(weights, thresholds)?;
         let (runner, adapter) = match &config.device {
             Device::Reference => (Runner::Reference, "CPU reference (f64)".to_owned()),
+            #[cfg(feature = "cpu")]
             Device::Cpu => {
                 let plan = host_plan(&network, &config)?;
                 (Runner::Host(plan), "CPU (f32)".to_owned())
+            }
+            #[cfg(not(feature = "cpu"))]
+            Device::Cpu => {
+                let expected = "an adapter or `reference`; the CPU needs the feature `cpu`";
+                return Err(Error::param("detect", "device", expected, "`cpu`"));
             }
             Device::Gpu(choice) => {
                 let options = GpuOptions {
@@ -310,11 +329,10 @@ impl GpuDetector {
                     None => Gpu::open(options).await?,
                 };
                 let adapter = format!("{} ({})", gpu.info().name, gpu.info().backend);
-                let plan = Box::new(plan(&gpu, &network, &config).await?);
-                (Runner::Gpu { gpu, plan }, adapter)
+                (Runner::Gpu(Box::new(slot(&gpu, &network, &config).await?)), adapter)
             }
         };
-        let engine = Mutex::new(Engine { network, capacity: FIRST_CAPACITY, weights, runner });
+        let engine = Mutex::new(Engine { network, runner });
         Ok(Self { config, model, adapter, engine })
     }
 
@@ -328,29 +346,40 @@ impl GpuDetector {
         &self.adapter
     }
 
-    /// Finds the snaps in a picture of any size and pixel format. The network sees the largest
-    /// centred square.
+    /// Finds the snaps in a picture of the crate [`image`], of any size and kind of pixel. The network
+    /// sees the largest centred square.
     ///
     /// # Errors
-    /// [`Error::Picture`] for an empty picture, [`Error::Capacity`] for one past the device's
-    /// largest binding, [`Error::DeviceLost`], [`Error::Timeout`] or [`Error::Driver`] from the
-    /// device, [`Error::NotFinite`] if the network overflowed.
-    pub fn detect(&self, picture: &DynamicImage) -> Result<Detections> {
-        let frame = Frame::new(picture)?;
-        let mut engine = self.engine.lock().unwrap_or_else(PoisonError::into_inner);
-        Ok(self.look(&mut engine, &frame)?.1)
+    /// As [`GpuDetector::detect_frame`].
+    #[cfg(feature = "image")]
+    pub fn detect(&self, picture: &image::DynamicImage) -> Result<Detections> {
+        self.detect_frame(&Frame::from(picture))
     }
 
-    /// [`GpuDetector::detect`], with the tensor of every stage, cut to the rows that a count made
-    /// valid. Needs `Config::keep_stages`.
+    /// Finds the snaps in a picture in memory, of any size. The network sees the largest centred
+    /// square of it or of its crop.
     ///
     /// # Errors
-    /// As [`GpuDetector::detect`]; [`Error::Param`] without `keep_stages`.
-    pub fn detect_with_stages(&self, picture: &DynamicImage) -> Result<(Detections, Stages)> {
-        self.check_keeps_stages()?;
-        let frame = Frame::new(picture)?;
+    /// [`Error::Picture`] for an empty picture, [`Error::Param`] for a frame whose buffer does not
+    /// hold what it says, [`Error::Capacity`] for one past the device's largest binding,
+    /// [`Error::DeviceLost`], [`Error::Timeout`] or [`Error::Driver`] from the device,
+    /// [`Error::NotFinite`] if the network overflowed.
+    pub fn detect_frame(&self, frame: &Frame) -> Result<Detections> {
+        let input = Input::new(frame)?;
         let mut engine = self.engine.lock().unwrap_or_else(PoisonError::into_inner);
-        let (mut values, detections) = self.look(&mut engine, &frame)?;
+        Ok(self.look(&mut engine, &input)?.1)
+    }
+
+    /// [`GpuDetector::detect_frame`], with the tensor of every stage, cut to the rows that a count
+    /// made valid. Needs `Config::keep_stages`.
+    ///
+    /// # Errors
+    /// As [`GpuDetector::detect_frame`]; [`Error::Param`] without `keep_stages`.
+    pub fn detect_with_stages(&self, frame: &Frame) -> Result<(Detections, Stages)> {
+        self.check_keeps_stages()?;
+        let input = Input::new(frame)?;
+        let mut engine = self.engine.lock().unwrap_or_else(PoisonError::into_inner);
+        let (mut values, detections) = self.look(&mut engine, &input)?;
         let graph = &engine.network.graph;
         let named = |id: TensorId| Some((graph.name(id).to_owned(), values.remove(&id)?));
         Ok((detections, graph.computed().into_iter().filter_map(named).collect()))
@@ -360,22 +389,22 @@ impl GpuDetector {
     /// what comes out: see [`crate::comparison`]. Needs `Config::keep_stages`.
     ///
     /// # Errors
-    /// As [`GpuDetector::detect`]; [`Error::Param`] without `keep_stages` or a GPU.
-    pub fn compare(&self, picture: &DynamicImage) -> Result<Comparison> {
+    /// As [`GpuDetector::detect_frame`]; [`Error::Param`] without `keep_stages` or a GPU.
+    pub fn compare(&self, frame: &Frame) -> Result<Comparison> {
         if !matches!(self.config.device, Device::Gpu(_)) {
             return Err(Error::param("compare", "device", "a GPU", "the CPU"));
         }
         self.check_keeps_stages()?;
-        let frame = Frame::new(picture)?;
+        let input = Input::new(frame)?;
         let mut engine = self.engine.lock().unwrap_or_else(PoisonError::into_inner);
-        let (got, times) = self.run(&mut engine, &frame)?;
+        let (got, times) = self.run(&mut engine, &input)?;
         let network = &engine.network;
-        let found = frame.detections(network, &got, times)?;
-        let frame = Frame { start: Instant::now(), ..frame };
-        let inputs = frame.inputs(network);
+        let found = input.detections(network, &got, times)?;
+        let input = Input { start: Instant::now(), ..input };
+        let inputs = input.inputs(network);
         let (want, times) = network.graph.reference(&inputs, &network.graph.computed())?;
-        let expected = frame.detections(network, &want, times)?;
-        let scale = f64::from(frame.scale(network));
+        let expected = input.detections(network, &want, times)?;
+        let scale = f64::from(input.scale(network));
         let outcome = comparison::compare(network, &inputs, &got, &want, scale)?;
         let time = |stage: &str| found.stages.iter().find(|t| t.stage == stage).map(|t| t.time);
         let stages = expected.stages.iter().zip(outcome.stages);
@@ -385,7 +414,7 @@ impl GpuDetector {
             reference_time: reference.time,
             tensors,
         });
-        let mm_per_pixel = f64::from(network.config.mm_per_pixel_of(frame.crop.side as u32));
+        let mm_per_pixel = f64::from(network.config.mm_per_pixel_of(input.side));
         Ok(Comparison {
             stages: stages.collect(),
             proposals: outcome.proposals,
@@ -406,59 +435,38 @@ impl GpuDetector {
 
     /// Looks at a picture. The values are the outputs, or with `keep_stages` those of every stage, cut
     /// to their valid rows.
-    fn look(&self, engine: &mut Engine, frame: &Frame) -> Result<(Values, Detections)> {
-        let (mut values, times) = self.run(engine, frame)?;
+    fn look(&self, engine: &mut Engine, input: &Input) -> Result<(Values, Detections)> {
+        let (mut values, times) = self.run(engine, input)?;
         let network = &engine.network;
         if self.config.keep_stages {
-            network.graph.truncate(&frame.inputs(network), &mut values);
+            network.graph.truncate(&input.inputs(network), &mut values);
         }
-        let detections = frame.detections(network, &values, times)?;
+        let detections = input.detections(network, &values, times)?;
         Ok((values, detections))
     }
 
     /// Runs the network. The values are the outputs, or with `keep_stages` those of every stage, as
     /// they came.
-    fn run(&self, engine: &mut Engine, frame: &Frame) -> Result<(Values, Vec<StageTime>)> {
-        self.make_room(engine, frame.width as usize * frame.height as usize)?;
-        let Engine { network, runner, .. } = engine;
-        let inputs = frame.inputs(network);
+    fn run(&self, engine: &mut Engine, input: &Input) -> Result<(Values, Vec<StageTime>)> {
+        let Engine { network, runner } = engine;
+        let inputs = input.inputs(network);
         match runner {
             Runner::Reference => network.graph.reference(&inputs, &kept(network, &self.config)),
+            #[cfg(feature = "cpu")]
             Runner::Host(plan) => plan.run(&network.graph, &inputs),
-            Runner::Gpu { plan, .. } => {
-                let run = plan.run(&inputs)?;
-                Ok((run.values, run.stages))
+            Runner::Gpu(slot) => {
+                let mut run = slot.run(&inputs)?;
+                Ok((run.first(), run.stages))
             }
         }
     }
-
-    /// Rebuilds the plan for pictures of at least `pixels` pixels: for twice as many as it had, so
-    /// that growing pictures rebuild it a few times and no more.
-    fn make_room(&self, engine: &mut Engine, pixels: usize) -> Result<()> {
-        if pixels <= engine.capacity {
-            return Ok(());
-        }
-        let capacity = pixels.max((2 * engine.capacity).min(MAX_PIXELS));
-        let thresholds = self.config.thresholds(&self.model)?;
-        let network = Network::new(engine.weights.clone(), capacity, thresholds)?;
-        match &mut engine.runner {
-            Runner::Gpu { gpu, plan: old } => {
-                **old = pollster::block_on(plan(gpu, &network, &self.config))?;
-            }
-            Runner::Host(old) => *old = host_plan(&network, &self.config)?,
-            Runner::Reference => {}
-        }
-        engine.network = network;
-        engine.capacity = capacity;
-        Ok(())
-    }
 }
 
-async fn plan(gpu: &Arc<Gpu>, network: &Network, config: &Config) -> Result<Plan> {
-    let recording = network.graph.record(&kept(network, config))?;
-    Plan::new(gpu, &recording, PlanOptions::default()).await
+async fn slot(gpu: &Arc<Gpu>, network: &Network, config: &Config) -> Result<Slot> {
+    Slot::of(gpu, &network.graph, &kept(network, config), ProgramOptions::default()).await
 }
 
+#[cfg(feature = "cpu")]
 fn host_plan(network: &Network, config: &Config) -> Result<Box<HostPlan>> {
     Ok(Box::new(HostPlan::new(&network.graph, &kept(network, config))?))
 }
@@ -469,31 +477,40 @@ fn kept(network: &Network, config: &Config) -> Vec<TensorId> {
 }
 
 /// A picture as the network takes it, and where its square lies.
-struct Frame {
+struct Input {
     start: Instant,
     width: u32,
     height: u32,
-    crop: Crop,
+    /// Left and upper edge of the square in the picture.
+    origin: [u32; 2],
+    side: u32,
+    /// The middle of what shows the gel.
+    middle: [f32; 2],
     pixels: Value,
     square: Value,
 }
 
-impl Frame {
+impl Input {
     /// # Errors
-    /// [`Error::Picture`] for an empty picture.
-    fn new(picture: &DynamicImage) -> Result<Self> {
+    /// What is wrong with the frame.
+    fn new(frame: &Frame) -> Result<Self> {
         let start = Instant::now();
-        let (width, height) = (picture.width(), picture.height());
-        if width == 0 || height == 0 {
-            let message = format!("expected at least 1 × 1 pixel, got {width} × {height}");
-            return Err(Error::Picture { file: "picture".into(), message });
-        }
-        let rgba = picture.to_rgba8();
-        let pixels: Vec<u32> = bytemuck::pod_collect_to_vec(rgba.as_raw());
-        let crop = Crop::central(width as usize, height as usize);
+        let Square { x, y, side, pixels } = frame.square()?;
+        let part = frame.part();
+        let crop = Crop::central(side as usize, side as usize);
         let square = crop.to_tensor(pixels.len())?.into();
         let pixels = Tensor::new([pixels.len()], pixels)?.into();
-        Ok(Self { start, width, height, crop, pixels, square })
+        Ok(Self {
+            start,
+            width: frame.width,
+            height: frame.height,
+            origin: [x, y],
+            side,
+            middle: [(part.x, part.width), (part.y, part.height)]
+                .map(|(at, length)| at as f32 + length as f32 / 2.0),
+            pixels,
+            square,
+        })
     }
 
     fn inputs(&self, network: &Network) -> [(TensorId, &Value); 2] {
@@ -502,7 +519,7 @@ impl Frame {
 
     /// Pixels of the picture for one of the network's input.
     fn scale(&self, network: &Network) -> f32 {
-        self.crop.side as f32 / network.config.input_size as f32
+        self.side as f32 / network.config.input_size as f32
     }
 
     /// What the network's outputs say of the picture.
@@ -530,14 +547,13 @@ impl Frame {
         let count = count_of(network, values, network.count)? as usize;
         let config = &network.config;
         let scale = self.scale(network);
-        let origin = [self.crop.x as f32, self.crop.y as f32];
-        let middle = [self.width as f32 / 2.0, self.height as f32 / 2.0];
-        let mm_per_pixel = config.mm_per_pixel_of(self.crop.side as u32);
+        let origin = self.origin.map(|at| at as f32);
+        let mm_per_pixel = config.mm_per_pixel_of(self.side);
         let rows = boxes.data().chunks_exact(4).zip(scores.data()).zip(classes.data());
         rows.take(count)
             .map(|((b, score), class)| {
                 let bbox = std::array::from_fn(|i| b[i] * scale + origin[i % 2]);
-                let center = |i: usize| (bbox[i] + bbox[i + 2]) / 2.0 - middle[i];
+                let center = |i: usize| (bbox[i] + bbox[i + 2]) / 2.0 - self.middle[i];
                 let name = config.classes.get((*class as usize).wrapping_sub(1));
                 let name = name.ok_or_else(|| {
                     Error::tensor("detect", "detections.labels", "a class of the weights", class)
@@ -579,4 +595,27 @@ fn check_finite(network: &Network, values: &Values) -> Result<()> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_for_people() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors");
+        let bytes = std::fs::read(file).expect("the weights");
+        let length = bytes.len();
+        let mut config = Config::new("");
+        config.weights = WeightSource::Bytes("memory".into(), bytes.into());
+        config.device = Device::Reference;
+        let line = format!("{config:?}");
+        assert!(line.contains(&format!(r#"Bytes("memory", {length} bytes)"#)), "{line}");
+        let detector = GpuDetector::new(config).expect("a detector");
+        let want = "GpuDetector(320 × 320, classes A, B, on CPU reference (f64))";
+        assert_eq!(format!("{detector:?}"), want);
+        let network = format!("{:?}", detector.engine.lock().expect("no panic").network);
+        let start = "Network(320 × 320, classes A, B, Graph(";
+        assert!(network.starts_with(start) && network.len() < 100, "{network}");
+    }
 }

@@ -1,10 +1,13 @@
 //! Dense tensors in host memory.
 
+use std::fmt;
+use std::sync::Arc;
+
 use crate::error::{Error, Result};
 use crate::shape::{DType, Shape, TensorSpec};
 
 /// A dense row-major tensor; pictures and feature maps are `[C, H, W]`.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, PartialEq)]
 pub struct Tensor<T = f32> {
     shape: Shape,
     data: Vec<T>,
@@ -69,8 +72,26 @@ impl<T: Copy + Default> Tensor<T> {
     }
 }
 
+/// Values that `{:?}` of a tensor shows.
+const SHOWN: usize = 8;
+
+impl<T: fmt::Debug> fmt::Debug for Tensor<T> {
+    /// A line: shape, and the first values.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}{}(", std::any::type_name::<T>(), self.shape)?;
+        for (i, value) in self.data.iter().take(SHOWN).enumerate() {
+            let comma = if i == 0 { "" } else { ", " };
+            write!(f, "{comma}{value:?}")?;
+        }
+        match self.data.len().saturating_sub(SHOWN) {
+            0 => f.write_str(")"),
+            more => write!(f, ", and {more} more)"),
+        }
+    }
+}
+
 /// A tensor of either element type.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, PartialEq)]
 pub enum Value {
     /// Floats.
     F32(Tensor<f32>),
@@ -149,6 +170,15 @@ impl Value {
     }
 }
 
+impl fmt::Debug for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::F32(t) => t.fmt(f),
+            Self::U32(t) => t.fmt(f),
+        }
+    }
+}
+
 impl From<Tensor<f32>> for Value {
     fn from(t: Tensor<f32>) -> Self {
         Self::F32(t)
@@ -158,5 +188,74 @@ impl From<Tensor<f32>> for Value {
 impl From<Tensor<u32>> for Value {
     fn from(t: Tensor<u32>) -> Self {
         Self::U32(t)
+    }
+}
+
+/// Values that are known, or that can be made whenever they are needed: weights.
+#[derive(Clone)]
+pub struct Constant {
+    spec: TensorSpec,
+    make: Arc<dyn Fn() -> Result<Arc<Value>> + Send + Sync>,
+}
+
+impl fmt::Debug for Constant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Constant({})", self.spec)
+    }
+}
+
+impl Constant {
+    /// Values that are made each time that they are asked for, and kept by nobody.
+    pub fn made(
+        spec: TensorSpec,
+        make: impl Fn() -> Result<Value> + Send + Sync + 'static,
+    ) -> Self {
+        Self { spec, make: Arc::new(move || make().map(Arc::new)) }
+    }
+
+    /// The same with its floats put into another order.
+    pub(crate) fn packed(
+        &self,
+        spec: TensorSpec,
+        pack: impl Fn(&Tensor) -> Tensor + Send + Sync + 'static,
+    ) -> Self {
+        let from = self.clone();
+        Self::made(spec, move || Ok(pack(from.get()?.f32()?).into()))
+    }
+
+    /// Shape and element type.
+    pub fn spec(&self) -> &TensorSpec {
+        &self.spec
+    }
+
+    /// The values.
+    ///
+    /// # Errors
+    /// What making them returns.
+    pub fn get(&self) -> Result<Arc<Value>> {
+        (self.make)()
+    }
+}
+
+impl<T: Into<Value>> From<T> for Constant {
+    fn from(value: T) -> Self {
+        let value = Arc::new(value.into());
+        Self { spec: value.spec(), make: Arc::new(move || Ok(value.clone())) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_for_people() {
+        let small: Value = Tensor::from_fn([2, 2], |i| i as f32 / 2.0).into();
+        assert_eq!(format!("{small:?}"), "f32[2, 2](0.0, 0.5, 1.0, 1.5)");
+        let large: Value = Tensor::from_fn([512, 512, 3, 3], |i| i as u32).into();
+        let want = "u32[512, 512, 3, 3](0, 1, 2, 3, 4, 5, 6, 7, and 2359288 more)";
+        assert_eq!(format!("{large:?}"), want);
+        // Nor does the form with line breaks list them.
+        assert_eq!(format!("{large:#?}"), want);
     }
 }

@@ -8,7 +8,7 @@ use image::DynamicImage;
 use serde::Serialize;
 use smr_gpu::detector::Stages;
 use smr_gpu::files::Outputs;
-use smr_gpu::{Detections, GpuDetector, WeightSource};
+use smr_gpu::{Detections, Frame, GpuDetector, WeightSource};
 
 use super::detector::{self, DetectorArgs, fraction};
 use super::draw::{Artist, Gallery};
@@ -177,7 +177,7 @@ fn look(
     args: &Args,
 ) -> Result<(Detections, Stages), Failure> {
     let result = match args.dump_stages {
-        Some(_) => detector.detect_with_stages(picture),
+        Some(_) => detector.detect_with_stages(&Frame::from(picture)),
         None => detector.detect(picture).map(|found| (found, Vec::new())),
     };
     result.map_err(|e| Failure::about(source, &e))

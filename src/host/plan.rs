@@ -1,13 +1,13 @@
 //! A [`HostPlan`]: a graph made ready to run on the CPU.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::kernel::{Data, Kernel, Layout, convert};
 use super::reference::Reference;
 use crate::error::{Error, Result};
-use crate::gpu::{StageTime, TensorId};
-use crate::graph::{Graph, Source};
+use crate::graph::{Graph, Source, StageTime, TensorId};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -44,7 +44,6 @@ enum Place {
 }
 
 /// A graph with its weights packed and its buffers allocated.
-#[derive(Debug)]
 pub struct HostPlan {
     steps: Vec<Step>,
     places: HashMap<Version, Place>,
@@ -56,6 +55,12 @@ pub struct HostPlan {
     /// What is given back, each in the layout in which it is computed.
     wanted: Vec<Version>,
     stages: Vec<String>,
+}
+
+impl std::fmt::Debug for HostPlan {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "HostPlan({} steps, {} buffers)", self.steps.len(), self.slots.len())
+    }
 }
 
 impl HostPlan {
@@ -251,14 +256,16 @@ impl Builder<'_> {
         let spec = |id: &TensorId| self.graph.spec(*id).clone();
         let input_specs: Vec<_> = node.inputs.iter().map(spec).collect();
         let output_specs: Vec<_> = node.outputs.iter().map(spec).collect();
-        let known: Vec<_> = node
+        // Made for this operation alone, and gone once they are packed.
+        let values: Vec<Option<Arc<Value>>> = node
             .inputs
             .iter()
             .map(|id| match &self.graph.tensors()[id.0].source {
-                Source::Constant(value) => Some(value.as_ref()),
-                _ => None,
+                Source::Constant { constant, .. } => constant.get().map(Some),
+                _ => Ok(None),
             })
-            .collect();
+            .collect::<Result<_>>()?;
+        let known: Vec<Option<&Value>> = values.iter().map(Option::as_deref).collect();
         let (op, outputs) = (node.op.as_ref(), &output_specs);
         let kernel = match super::kernel(op, &input_specs, outputs, &known)? {
             Some(kernel) => kernel,

@@ -1,6 +1,7 @@
 //! Reading a weight file: safetensors, names as in PyTorch's state dict, f16 or f32.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 use safetensors::{Dtype, SafeTensors};
@@ -22,17 +23,29 @@ const MAX_TENSORS: usize = 4096;
 
 /// The tensors of a weight file and its configuration. Building a network takes the tensors out one
 /// by one, so what is missing, misshapen or left over is noticed.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Weights {
     file: PathBuf,
     config: ModelConfig,
     tensors: Source,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 enum Source {
     File(BTreeMap<String, Tensor>),
     Random(u32),
+}
+
+impl fmt::Debug for Weights {
+    /// A line: where they are from, and how many.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.tensors {
+            Source::File(tensors) => {
+                write!(f, "Weights({}, {} tensors)", self.file.display(), tensors.len())
+            }
+            Source::Random(seed) => write!(f, "Weights(random, seed {seed})"),
+        }
+    }
 }
 
 /// A convolution with its batch norm folded in: weight `[O, I, kh, kw]`, bias `[O]`.

@@ -19,7 +19,7 @@ const LANES: u32 = 256u;
 const EXPONENT: u32 = 0x7f800000u;
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> input: array<vec4<u32>>;
+@group(0) @binding(1) var<storage, read> input: array<u32>;
 @group(0) @binding(2) var<storage, read> count: array<u32>;
 @group(0) @binding(3) var<storage, read_write> output: array<u32>;
 
@@ -40,14 +40,12 @@ fn main(
         let rows = params.elements / params.row_elements;
         live = min(count[workgroup.z * params.count_stride], rows) * params.row_elements;
     }
-    let first = workgroup.z * params.input_stride / 4u;
-    var found = vec4(0u);
-    for (var i = lane; 4u * i < live; i += LANES) {
-        let exponents = input[first + i] & vec4(EXPONENT);
-        let inside = vec4(4u * i) + vec4(0u, 1u, 2u, 3u) < vec4(live);
-        found += select(vec4(0u), vec4(1u), (exponents == vec4(EXPONENT)) & inside);
+    let first = workgroup.z * params.input_stride;
+    var found = 0u;
+    for (var i = lane; i < live; i += LANES) {
+        found += select(0u, 1u, (input[first + i] & EXPONENT) == EXPONENT);
     }
-    atomicAdd(&total, found.x + found.y + found.z + found.w);
+    atomicAdd(&total, found);
     workgroupBarrier();
     if lane == 0u {
         output[workgroup.z * params.output_stride + params.witness] = atomicLoad(&total);

@@ -1,6 +1,7 @@
 // input * channel gate * spatial gate, on a map with four channels a texel.
 //
 // A workgroup is eight rows of a quad; an invocation goes along its row in steps of eight pixels.
+// The channels are a multiple of four.
 
 // include: quads
 
@@ -29,10 +30,7 @@ fn main(
     if y >= map.height {
         return;
     }
-    // The gates of channels past the last are undefined, those channels zero.
-    let live = vec4(4u * quad) + vec4(0u, 1u, 2u, 3u) < vec4(map.channels);
-    let gate = channel_gate[workgroup.z * params.channel_gate_stride / 4u + quad];
-    let by_channel = select(vec4(0.0), gate, live);
+    let by_channel = channel_gate[workgroup.z * params.channel_gate_stride / 4u + quad];
     let row = texel_index(map, texel(map, workgroup.z, quad, y, 0u));
     let gate_row = workgroup.z * params.spatial_gate_stride + y * map.width;
     for (var x = local.x; x < map.width; x += 8u) {

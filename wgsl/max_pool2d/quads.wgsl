@@ -2,8 +2,9 @@
 // Windows are cut at the picture's edges, which is the same as padding with minus infinity; none is
 // empty as padding is at most half the kernel.
 //
-// GATED: of input * channel gate * spatial gate, with the same bits as apply_gates gives. A workgroup
-// is eight rows of two quads; an invocation goes along its row in steps of eight pixels.
+// GATED: of input * channel gate * spatial gate, with the same bits as apply_gates gives; the channels
+// are a multiple of four then. A workgroup is eight rows of two quads; an invocation goes along its
+// row in steps of eight pixels.
 
 // include: quads
 
@@ -44,13 +45,6 @@ fn is_nan(x: vec4<f32>) -> vec4<bool> {
     return (bitcast<vec4<u32>>(x) & vec4(0x7fffffffu)) > vec4(0x7f800000u);
 }
 
-#if GATED
-// Which of a quad's channels there are: the gates of the others are undefined, the channels zero.
-fn is_channel(quad: u32) -> vec4<bool> {
-    return vec4(4u * quad) + vec4(0u, 1u, 2u, 3u) < vec4(params.input.channels);
-}
-#endif
-
 @compute @workgroup_size(8, 8)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
@@ -76,8 +70,8 @@ fn main(
     );
 #if GATED
     let gates = vec2(workgroup.z * params.channel_gate_stride / 4u) + quads;
-    let gate0 = select(vec4(0.0), channel_gate[gates.x], is_channel(quads.x));
-    let gate1 = select(vec4(0.0), channel_gate[gates.y], is_channel(quads.y));
+    let gate0 = channel_gate[gates.x];
+    let gate1 = channel_gate[gates.y];
     let first_gate = workgroup.z * params.spatial_gate_stride + rows.x * source.width;
 #endif
     for (var x = local.x; x < to.width; x += 8u) {

@@ -2,7 +2,7 @@
 // [2, H, W].
 //
 // A workgroup is eight pixels of a row by eight slices of the channels, or, where the channels are
-// few, by eight rows or something between.
+// few, by eight rows or something between. The channels are a multiple of four.
 
 // include: quads
 
@@ -47,10 +47,8 @@ fn main(
     var largest = vec4(LOWEST);
     for (var q = first; q < end; q++) {
         let gated = input[texel_index(map, at)] * channel_gate[gate_at + q];
-        // The gates of channels past the last are undefined.
-        let live = vec4(4u * q) + vec4(0u, 1u, 2u, 3u) < vec4(map.channels);
-        sum += select(vec4(0.0), gated, live);
-        largest = max(largest, select(vec4(LOWEST), gated, live));
+        sum += gated;
+        largest = max(largest, gated);
         at = next_quad(map, at);
     }
     let pair = max(largest.xy, largest.zw);

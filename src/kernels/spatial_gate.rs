@@ -21,7 +21,7 @@ static SHADER: Shader = Shader {
 };
 
 /// Pixels of a row that one invocation computes.
-const PIXELS: usize = 4;
+const PIXELS: usize = 8;
 
 /// The definition, on planar maps.
 #[derive(Debug)]

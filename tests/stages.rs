@@ -118,8 +118,9 @@ fn a_choice_by_rounding_is_no_failure() {
     let scene = dataset::scene_seed(2004, 5);
     let rendered = Renderer::new().render(scene, &Request::plain(Mix::None)).expect("a picture");
     let picture = DynamicImage::from(rendered.picture);
-    let comparison =
-        detector(Device::Gpu(AdapterChoice::Auto), |_| ()).compare(&Frame::from(&picture)).expect("a comparison");
+    let comparison = detector(Device::Gpu(AdapterChoice::Auto), |_| ())
+        .compare(&Frame::from(&picture))
+        .expect("a comparison");
     println!("{:?}", comparison.excused().collect::<Vec<_>>());
     assert_eq!(comparison.failures().collect::<Vec<_>>(), [""; 0]);
 }

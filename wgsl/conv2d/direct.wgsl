@@ -9,9 +9,11 @@
 // own, and `conv2d/join` adds those up.
 //
 // Constants: WORKGROUP invocations; KERNEL rows; TAPS columns, 1 or all; SPREAD columns of inputs between
-// pixels, as they are loaded; DILATION columns between taps; QUADS. With ANY, the kernel has any size.
+// pixels, as they are loaded; DILATION columns between taps; QUADS. With ANY,
+// the kernel has any size; with THREE, the input has at most three channels.
 
 // include: quads
+// include: products
 // include: relu
 
 struct Params {
@@ -30,8 +32,8 @@ struct Params {
     // Parts that the blocks are split into, and blocks of each.
     splits: u32,
     split_blocks: u32,
-    // Tiles of CHANNELS outputs that stand side by side in `weight`.
-    weight_columns: u32,
+    // Columns of `weight`.
+    weight_width: u32,
     has_residual: u32,
     relu: u32,
 }
@@ -42,31 +44,13 @@ struct Params {
 #else
 @group(0) @binding(1) var input: texture_storage_2d<rgba32float, read>;
 #endif
-// A texel is one output's weights of four input channels, zero in the padding. Column: tile, tap of the
-// kernel's row, output of the tile; row: tile, quad of inputs, row of the kernel.
+// A texel is one output's weights of four input channels, zero in the padding. Texels lie as they are
+// read: by tile, quad of inputs, row of the kernel, tap, output of the tile.
 @group(0) @binding(2) var weight: texture_storage_2d<rgba32float, read>;
 // Of whole tiles.
 @group(0) @binding(3) var<storage, read> bias: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> residual: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> output: array<vec4<f32>>;
-
-// Weights of four outputs for four input channels.
-struct Weights {
-    a: vec4<f32>,
-    b: vec4<f32>,
-    c: vec4<f32>,
-    d: vec4<f32>,
-}
-
-// Sums with the products of one tap. A column is an output, a row a pixel; a column of `x` is a channel.
-fn add(sums: mat4x4<f32>, w: Weights, x: mat4x4<f32>) -> mat4x4<f32> {
-    return mat4x4<f32>(
-        sums[0] + w.a.x * x[0] + w.a.y * x[1] + w.a.z * x[2] + w.a.w * x[3],
-        sums[1] + w.b.x * x[0] + w.b.y * x[1] + w.b.z * x[2] + w.b.w * x[3],
-        sums[2] + w.c.x * x[0] + w.c.y * x[1] + w.c.z * x[2] + w.c.w * x[3],
-        sums[3] + w.d.x * x[0] + w.d.y * x[1] + w.d.z * x[2] + w.d.w * x[3],
-    );
-}
 
 // Columns of inputs that the pixels and taps of a strip have between them.
 const SPAN: u32 = (PIXELS - 1u) * SPREAD + (TAPS - 1u) * DILATION + 1u;
@@ -94,44 +78,6 @@ struct Sums {
     d: mat4x4<f32>,
 }
 
-// What the first four lanes hold, and so on.
-fn first(w: vec4<f32>) -> Weights {
-    return Weights(
-        subgroupBroadcast(w, 0u),
-        subgroupBroadcast(w, 1u),
-        subgroupBroadcast(w, 2u),
-        subgroupBroadcast(w, 3u),
-    );
-}
-#if !FOUR_LANES
-fn second(w: vec4<f32>) -> Weights {
-    return Weights(
-        subgroupBroadcast(w, 4u),
-        subgroupBroadcast(w, 5u),
-        subgroupBroadcast(w, 6u),
-        subgroupBroadcast(w, 7u),
-    );
-}
-#if !EIGHT_LANES
-fn third(w: vec4<f32>) -> Weights {
-    return Weights(
-        subgroupBroadcast(w, 8u),
-        subgroupBroadcast(w, 9u),
-        subgroupBroadcast(w, 10u),
-        subgroupBroadcast(w, 11u),
-    );
-}
-fn fourth(w: vec4<f32>) -> Weights {
-    return Weights(
-        subgroupBroadcast(w, 12u),
-        subgroupBroadcast(w, 13u),
-        subgroupBroadcast(w, 14u),
-        subgroupBroadcast(w, 15u),
-    );
-}
-#endif
-#endif
-
 // Sums with a tap whose weights begin at `at` and whose inputs begin at `first_input` of the strip.
 fn add_tap(
     sums: Sums,
@@ -144,10 +90,10 @@ fn add_tap(
 #if FOUR_LANES
     let own = at + vec2<u32>(lane % 4u, 0u);
     return Sums(
-        add(sums.a, first(textureLoad(weight, own)), x),
-        add(sums.b, first(textureLoad(weight, own + vec2<u32>(4u, 0u))), x),
-        add(sums.c, first(textureLoad(weight, own + vec2<u32>(8u, 0u))), x),
-        add(sums.d, first(textureLoad(weight, own + vec2<u32>(12u, 0u))), x),
+        add_products(sums.a, first(textureLoad(weight, own)), x),
+        add_products(sums.b, first(textureLoad(weight, own + vec2<u32>(4u, 0u))), x),
+        add_products(sums.c, first(textureLoad(weight, own + vec2<u32>(8u, 0u))), x),
+        add_products(sums.d, first(textureLoad(weight, own + vec2<u32>(12u, 0u))), x),
     );
 #else
 #if EIGHT_LANES
@@ -155,18 +101,18 @@ fn add_tap(
     let near = textureLoad(weight, own);
     let far = textureLoad(weight, own + vec2<u32>(8u, 0u));
     return Sums(
-        add(sums.a, first(near), x),
-        add(sums.b, second(near), x),
-        add(sums.c, first(far), x),
-        add(sums.d, second(far), x),
+        add_products(sums.a, first(near), x),
+        add_products(sums.b, second(near), x),
+        add_products(sums.c, first(far), x),
+        add_products(sums.d, second(far), x),
     );
 #else
     let all = textureLoad(weight, at + vec2<u32>(lane % 16u, 0u));
     return Sums(
-        add(sums.a, first(all), x),
-        add(sums.b, second(all), x),
-        add(sums.c, third(all), x),
-        add(sums.d, fourth(all), x),
+        add_products(sums.a, first(all), x),
+        add_products(sums.b, second(all), x),
+        add_products(sums.c, third(all), x),
+        add_products(sums.d, fourth(all), x),
     );
 #endif
 #endif
@@ -205,15 +151,15 @@ fn add_tap(
     strip: ptr<function, Strip>,
     first_input: u32,
 ) -> Sums {
-    let w = Weights(
+    let w = Four(
         textureLoad(weight, at),
         textureLoad(weight, at + vec2<u32>(1u, 0u)),
         textureLoad(weight, at + vec2<u32>(2u, 0u)),
         textureLoad(weight, at + vec2<u32>(3u, 0u)),
     );
     return Sums(
-        add(sums.a, w, pixels(strip, first_input)),
-        add(sums.b, w, pixels(strip, first_input + 4u * SPREAD)),
+        add_products(sums.a, w, pixels(strip, first_input)),
+        add_products(sums.b, w, pixels(strip, first_input + 4u * SPREAD)),
     );
 }
 
@@ -276,8 +222,11 @@ fn main(
     let kernel_width = TAPS;
 #endif
 
-    let weight_column = tile % params.weight_columns * kernel_width * CHANNELS;
-    var weight_row = (tile / params.weight_columns * params.blocks + begin) * QUADS * kernel_height;
+    // The taps of a row that are added together lie side by side.
+    let taps = TAPS * CHANNELS;
+    let taps_of_row = params.weight_width / taps;
+    let first_taps = (tile * params.blocks + begin) * QUADS * kernel_height * (kernel_width / TAPS);
+    var at = vec2<u32>(first_taps % taps_of_row * taps, first_taps / taps_of_row);
     // A quad of inputs, and where it lies. Division is slow.
     var quad = begin * QUADS;
     var corner = texel(params.input, picture, quad, 0u, 0u);
@@ -291,10 +240,8 @@ fn main(
 #if ANY
                 for (var kx = 0u; kx < kernel_width; kx++) {
                     let first_column = left + kx * dilation;
-                    let at = vec2<u32>(weight_column + kx * CHANNELS, weight_row);
 #else
                     let first_column = left;
-                    let at = vec2<u32>(weight_column, weight_row);
 #endif
                     var strip: Strip;
                     for (var j = 0u; j < SPAN; j++) {
@@ -315,10 +262,11 @@ fn main(
                     part = add_tap(part, at + vec2<u32>(5u * CHANNELS, 0u), lane, &strip, 5u * DILATION);
                     part = add_tap(part, at + vec2<u32>(6u * CHANNELS, 0u), lane, &strip, 6u * DILATION);
 #endif
+                    at.x += taps;
+                    at = select(at, vec2<u32>(0u, at.y + 1u), at.x == params.weight_width);
 #if ANY
                 }
 #endif
-                weight_row += 1u;
             }
             // The last block may have fewer quads: it repeats the last, with weights of zero.
             quad += 1u;

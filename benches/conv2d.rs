@@ -2,7 +2,8 @@
 //! the two is the figure that carries from machine to machine.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use smr_gpu::gpu::{Gpu, GpuOptions, Plan, PlanOptions, Recording, Role};
+use smr_gpu::gpu::{Gpu, GpuOptions, ProgramOptions, Slot};
+use smr_gpu::graph::Graph;
 use smr_gpu::ops::case::random;
 use smr_gpu::ops::{Conv2d, Op};
 use smr_gpu::tensor::Value;
@@ -27,9 +28,9 @@ fn conv2d(criterion: &mut Criterion) {
         ];
         let multiplications = channels_in * channels_out * kernel * kernel * side * side;
         group.throughput(Throughput::Elements(multiplications as u64));
-        let mut plan = plan(&gpu, &op, &inputs);
+        let mut slot = slot(&gpu, op, &inputs);
         group.bench_function(BenchmarkId::new("shader", name), |b| {
-            b.iter(|| plan.run(&[]).expect("a run"));
+            b.iter(|| slot.run(&[]).expect("a run"));
         });
         let inputs: Vec<&Value> = inputs.iter().collect();
         group.bench_function(BenchmarkId::new("reference", name), |b| {
@@ -38,17 +39,14 @@ fn conv2d(criterion: &mut Criterion) {
     }
 }
 
-/// A plan of `op` alone, with its inputs on the device.
-fn plan(gpu: &std::sync::Arc<Gpu>, op: &Conv2d, inputs: &[Value]) -> Plan {
-    let mut recording = Recording::default();
-    recording.begin_stage("conv2d");
+/// A slot for `op` alone, with its inputs on the device.
+fn slot(gpu: &std::sync::Arc<Gpu>, op: Conv2d, inputs: &[Value]) -> Slot {
+    let mut graph = Graph::default();
     let named = inputs.iter().zip(op.inputs());
-    let ids: Vec<_> = named.map(|(v, n)| recording.constant(n, v.clone())).collect();
-    let specs: Vec<_> = inputs.iter().map(Value::spec).collect();
-    let out = op.infer(&specs).expect("shapes that fit").remove(0);
-    let output = recording.tensor("output", out, Role::Output);
-    op.record(&mut recording, &ids, &[output]).expect("a recording");
-    pollster::block_on(Plan::new(gpu, &recording, PlanOptions::default())).expect("a plan")
+    let ids: Vec<_> = named.map(|(v, n)| graph.constant(n, v.clone())).collect();
+    let output = graph.apply1("conv2d", op, &ids).expect("shapes that fit");
+    graph.mark_output(output);
+    pollster::block_on(Slot::of(gpu, &graph, &[], ProgramOptions::default())).expect("a slot")
 }
 
 criterion_group!(benches, conv2d);

@@ -25,6 +25,7 @@ use clap::Parser;
 use mutate::Mutant;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
+use smr_gpu::check::check_expected;
 use smr_gpu::gpu::{Gpu, GpuOptions};
 use smr_gpu::ops::{Case, Entry, Expected};
 use smr_gpu::{Config, GpuDetector};
@@ -292,10 +293,10 @@ struct Noticed {
 
 fn noticed(gpu: &Arc<Gpu>, expected: &Expected) -> Option<Noticed> {
     let has_hand = expected.case().by_hand.is_some();
-    match expected.check(gpu) {
+    match check_expected(gpu, expected, &expected.case().inputs) {
         Ok(report) if report.failures.is_empty() => None,
         Ok(report) => {
-            let by_hand = report.failures.iter().any(|f| f.contains(": shader by hand: "));
+            let by_hand = report.failures.iter().any(|f| f.contains(": kernel by hand: "));
             Some(Noticed { how: String::new(), by_hand, hangs: false })
         }
         Err(smr_gpu::Error::Timeout { .. }) => {

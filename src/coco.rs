@@ -10,8 +10,8 @@ use std::path::{Component, Path, PathBuf};
 
 use serde::Deserialize;
 
-use crate::detector::MAX_PIXELS;
 use crate::metrics::Truth;
+use crate::model::MAX_PIXELS;
 
 /// How far a box may reach past its picture, in pixels: tools round.
 const MARGIN: f64 = 1.0;

@@ -8,17 +8,13 @@ use image::DynamicImage;
 
 use crate::comparison::{self, ChoiceComparison, Shift, StageComparison, Values};
 use crate::error::{Error, Result};
-use crate::gpu::{AdapterChoice, Gpu, GpuOptions, Plan, PlanOptions, StageTime, TensorId};
+use crate::gpu::{AdapterChoice, Gpu, GpuOptions, ProgramOptions, Slot};
+use crate::graph::{StageTime, TensorId};
 use crate::host::HostPlan;
 use crate::model::{ModelConfig, Network, Thresholds, Weights};
 use crate::ops::Crop;
 use crate::tensor::{Tensor, Value};
 
-/// Pixels for which a detector makes room at first: the sensor's 1000 × 1000. It grows when a
-/// larger picture comes.
-const FIRST_CAPACITY: usize = 1000 * 1000;
-/// Pixels of the largest picture: as RGBA8 they fill the 128 MiB that every device can bind.
-pub const MAX_PIXELS: usize = (128 << 20) / 4;
 /// Most detections a picture may have.
 const MAX_DETECTIONS: usize = 100;
 
@@ -241,14 +237,12 @@ pub struct GpuDetector {
 #[derive(Debug)]
 struct Engine {
     network: Network,
-    capacity: usize,
-    weights: Weights,
     runner: Runner,
 }
 
 #[derive(Debug)]
 enum Runner {
-    Gpu { gpu: Arc<Gpu>, plan: Box<Plan> },
+    Gpu(Box<Slot>),
     Host(Box<HostPlan>),
     Reference,
 }
@@ -292,7 +286,7 @@ impl GpuDetector {
         };
         let model = weights.config().clone();
         let thresholds = config.thresholds(&model)?;
-        let network = Network::new(weights.clone(), FIRST_CAPACITY, thresholds)?;
+        let network = Network::new(weights, thresholds)?;
         let (runner, adapter) = match &config.device {
             Device::Reference => (Runner::Reference, "CPU reference (f64)".to_owned()),
             Device::Cpu => {
@@ -310,11 +304,10 @@ impl GpuDetector {
                     None => Gpu::open(options).await?,
                 };
                 let adapter = format!("{} ({})", gpu.info().name, gpu.info().backend);
-                let plan = Box::new(plan(&gpu, &network, &config).await?);
-                (Runner::Gpu { gpu, plan }, adapter)
+                (Runner::Gpu(Box::new(slot(&gpu, &network, &config).await?)), adapter)
             }
         };
-        let engine = Mutex::new(Engine { network, capacity: FIRST_CAPACITY, weights, runner });
+        let engine = Mutex::new(Engine { network, runner });
         Ok(Self { config, model, adapter, engine })
     }
 
@@ -419,44 +412,21 @@ impl GpuDetector {
     /// Runs the network. The values are the outputs, or with `keep_stages` those of every stage, as
     /// they came.
     fn run(&self, engine: &mut Engine, frame: &Frame) -> Result<(Values, Vec<StageTime>)> {
-        self.make_room(engine, frame.width as usize * frame.height as usize)?;
-        let Engine { network, runner, .. } = engine;
+        let Engine { network, runner } = engine;
         let inputs = frame.inputs(network);
         match runner {
             Runner::Reference => network.graph.reference(&inputs, &kept(network, &self.config)),
             Runner::Host(plan) => plan.run(&network.graph, &inputs),
-            Runner::Gpu { plan, .. } => {
-                let run = plan.run(&inputs)?;
-                Ok((run.values, run.stages))
+            Runner::Gpu(slot) => {
+                let mut run = slot.run(&inputs)?;
+                Ok((run.first(), run.stages))
             }
         }
-    }
-
-    /// Rebuilds the plan for pictures of at least `pixels` pixels: for twice as many as it had, so
-    /// that growing pictures rebuild it a few times and no more.
-    fn make_room(&self, engine: &mut Engine, pixels: usize) -> Result<()> {
-        if pixels <= engine.capacity {
-            return Ok(());
-        }
-        let capacity = pixels.max((2 * engine.capacity).min(MAX_PIXELS));
-        let thresholds = self.config.thresholds(&self.model)?;
-        let network = Network::new(engine.weights.clone(), capacity, thresholds)?;
-        match &mut engine.runner {
-            Runner::Gpu { gpu, plan: old } => {
-                **old = pollster::block_on(plan(gpu, &network, &self.config))?;
-            }
-            Runner::Host(old) => *old = host_plan(&network, &self.config)?,
-            Runner::Reference => {}
-        }
-        engine.network = network;
-        engine.capacity = capacity;
-        Ok(())
     }
 }
 
-async fn plan(gpu: &Arc<Gpu>, network: &Network, config: &Config) -> Result<Plan> {
-    let recording = network.graph.record(&kept(network, config))?;
-    Plan::new(gpu, &recording, PlanOptions::default()).await
+async fn slot(gpu: &Arc<Gpu>, network: &Network, config: &Config) -> Result<Slot> {
+    Slot::of(gpu, &network.graph, &kept(network, config), ProgramOptions::default()).await
 }
 
 fn host_plan(network: &Network, config: &Config) -> Result<Box<HostPlan>> {

@@ -4,14 +4,26 @@
 //! cannot drift apart.
 
 use std::collections::HashMap;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use crate::error::{Error, Result};
-use crate::gpu::{Recording, Role, StageTime, TensorId};
 use crate::ops::Op;
 use crate::shape::{Extent, TensorSpec};
-use crate::tensor::Value;
+use crate::tensor::{Constant, Value};
+
+/// Index of a tensor in a [`Graph`], or in what a graph was lowered to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct TensorId(pub usize);
+
+/// Time that one stage took.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StageTime {
+    /// Stage name.
+    pub stage: String,
+    /// Time on the device.
+    pub time: Duration,
+}
 
 /// One operation with what it reads and writes.
 #[derive(Debug)]
@@ -35,8 +47,8 @@ pub(crate) struct GraphTensor {
 pub(crate) enum Source {
     /// The host, for each run.
     Input(Extent),
-    /// Known now.
-    Constant(Arc<Value>),
+    /// Known now. The values stay once the references have asked for them.
+    Constant { constant: Constant, kept: OnceLock<Arc<Value>> },
     /// A node.
     Computed,
 }
@@ -79,9 +91,10 @@ impl Graph {
     }
 
     /// A tensor that is known now, such as weights.
-    pub fn constant(&mut self, name: impl Into<String>, value: impl Into<Value>) -> TensorId {
-        let value = value.into();
-        self.push(name, value.spec(), Source::Constant(Arc::new(value)))
+    pub fn constant(&mut self, name: impl Into<String>, value: impl Into<Constant>) -> TensorId {
+        let constant = value.into();
+        let spec = constant.spec().clone();
+        self.push(name, spec, Source::Constant { constant, kept: OnceLock::new() })
     }
 
     /// Starts a stage: the unit of timing.
@@ -173,29 +186,22 @@ impl Graph {
         &self.tensors[id.0].name
     }
 
-    /// Writes the dispatches of every node. Tensors keep their ids; those in `keep` are read back
-    /// beside the outputs.
+    /// Makes the values of the constants and keeps them, as the references need them.
     ///
     /// # Errors
-    /// What the operations return.
-    pub fn record(&self, keep: &[TensorId]) -> Result<Recording> {
-        let mut recording = Recording::default();
+    /// What making them returns.
+    pub fn keep_constants(&self) -> Result<()> {
         for tensor in &self.tensors {
-            let role = match &tensor.source {
-                Source::Input(extent) => Role::Input(*extent),
-                Source::Constant(value) => Role::Constant(value.clone()),
-                Source::Computed => Role::Transient,
-            };
-            recording.tensor(&tensor.name, tensor.spec.clone(), role);
+            if let Source::Constant { constant, kept } = &tensor.source
+                && kept.get().is_none()
+            {
+                kept.get_or_init({
+                    let value = constant.get()?;
+                    || value
+                });
+            }
         }
-        for id in self.outputs.iter().chain(keep) {
-            recording.mark_output(*id);
-        }
-        for node in &self.nodes {
-            recording.begin_stage(&self.stages[node.stage]);
-            node.op.record(&mut recording, &node.inputs, &node.outputs)?;
-        }
-        Ok(recording)
+        Ok(())
     }
 
     /// Runs the references. Returns the outputs and the tensors in `keep`, and the time by stage.
@@ -218,6 +224,7 @@ impl Graph {
         keep: &[TensorId],
         mut alter: impl FnMut(TensorId, &mut Value),
     ) -> Result<(HashMap<TensorId, Value>, Vec<StageTime>)> {
+        self.keep_constants()?;
         for (index, tensor) in self.tensors.iter().enumerate() {
             let Source::Input(extent) = tensor.source else { continue };
             let given = inputs.iter().find(|(id, _)| id.0 == index).map(|(_, v)| v.spec());
@@ -268,7 +275,7 @@ impl Graph {
         computed: &'a HashMap<TensorId, Value>,
     ) -> Option<&'a Value> {
         match &self.tensors[id.0].source {
-            Source::Constant(value) => Some(value),
+            Source::Constant { kept, .. } => kept.get().map(Arc::as_ref),
             Source::Input(_) => inputs.iter().find(|(i, _)| *i == id).map(|(_, v)| *v),
             Source::Computed => computed.get(&id),
         }

@@ -47,6 +47,7 @@
 //! does not publish.
 #![warn(missing_docs)]
 
+pub mod check;
 pub mod coco;
 pub mod comparison;
 pub mod cpu;
@@ -56,11 +57,14 @@ pub mod files;
 pub mod gpu;
 pub mod graph;
 pub mod host;
+pub mod kernels;
+pub mod lower;
 pub mod metrics;
 pub mod model;
 pub mod ops;
 pub mod picture;
 pub mod sensor;
+pub mod shader;
 pub mod shape;
 pub mod tensor;
 

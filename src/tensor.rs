@@ -1,5 +1,8 @@
 //! Dense tensors in host memory.
 
+use std::fmt;
+use std::sync::Arc;
+
 use crate::error::{Error, Result};
 use crate::shape::{DType, Shape, TensorSpec};
 
@@ -158,5 +161,58 @@ impl From<Tensor<f32>> for Value {
 impl From<Tensor<u32>> for Value {
     fn from(t: Tensor<u32>) -> Self {
         Self::U32(t)
+    }
+}
+
+/// Values that are known, or that can be made whenever they are needed: weights.
+#[derive(Clone)]
+pub struct Constant {
+    spec: TensorSpec,
+    make: Arc<dyn Fn() -> Result<Arc<Value>> + Send + Sync>,
+}
+
+impl fmt::Debug for Constant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Constant({})", self.spec)
+    }
+}
+
+impl Constant {
+    /// Values that are made each time that they are asked for, and kept by nobody.
+    pub fn made(
+        spec: TensorSpec,
+        make: impl Fn() -> Result<Value> + Send + Sync + 'static,
+    ) -> Self {
+        Self { spec, make: Arc::new(move || make().map(Arc::new)) }
+    }
+
+    /// The same with its floats put into another order.
+    pub(crate) fn packed(
+        &self,
+        spec: TensorSpec,
+        pack: impl Fn(&Tensor) -> Tensor + Send + Sync + 'static,
+    ) -> Self {
+        let from = self.clone();
+        Self::made(spec, move || Ok(pack(from.get()?.f32()?).into()))
+    }
+
+    /// Shape and element type.
+    pub fn spec(&self) -> &TensorSpec {
+        &self.spec
+    }
+
+    /// The values.
+    ///
+    /// # Errors
+    /// What making them returns.
+    pub fn get(&self) -> Result<Arc<Value>> {
+        (self.make)()
+    }
+}
+
+impl<T: Into<Value>> From<T> for Constant {
+    fn from(value: T) -> Self {
+        let value = Arc::new(value.into());
+        Self { spec: value.spec(), make: Arc::new(move || Ok(value.clone())) }
     }
 }

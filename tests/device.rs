@@ -3,8 +3,12 @@
 use std::time::Duration;
 
 use smr_gpu::Error;
-use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions, Plan, PlanOptions, Recording, Role};
-use smr_gpu::shape::TensorSpec;
+use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions, ProgramOptions, Slot};
+use smr_gpu::graph::{Graph, TensorId};
+use smr_gpu::ops::case::random;
+use smr_gpu::ops::{Conv2d, MaxPool2d};
+use smr_gpu::shape::{Extent, TensorSpec};
+use smr_gpu::tensor::{Tensor, Value};
 
 fn open(change: impl FnOnce(&mut GpuOptions)) -> smr_gpu::Result<std::sync::Arc<Gpu>> {
     let mut options = GpuOptions::default();
@@ -12,18 +16,31 @@ fn open(change: impl FnOnce(&mut GpuOptions)) -> smr_gpu::Result<std::sync::Arc<
     pollster::block_on(Gpu::open(options))
 }
 
+/// Pools a map `[1, 4, 4]` to `[1, 2, 2]`.
+fn pooling() -> (Graph, TensorId, TensorId) {
+    let mut graph = Graph::default();
+    let input = graph.input("input", TensorSpec::f32([1, 4, 4]), Extent::Exact);
+    let op = MaxPool2d { kernel: 2, stride: 2, padding: 0 };
+    let output = graph.apply1("pool", op, &[input]).expect("a map");
+    graph.mark_output(output);
+    (graph, input, output)
+}
+
+fn slot(gpu: &std::sync::Arc<Gpu>, graph: &Graph) -> smr_gpu::Result<Slot> {
+    pollster::block_on(Slot::of(gpu, graph, &[], ProgramOptions::default()))
+}
+
 #[test]
 fn a_lost_device_is_a_typed_error() {
     let gpu = open(|_| ()).expect("an adapter");
-    let mut recording = Recording::default();
-    recording.tensor("output", TensorSpec::f32([4]), Role::Output);
-    let mut plan =
-        pollster::block_on(Plan::new(&gpu, &recording, PlanOptions::default())).expect("a plan");
-    plan.run(&[]).expect("a run while the device lives");
+    let (graph, input, _) = pooling();
+    let value = Value::from(Tensor::<f32>::zeros([1, 4, 4]));
+    let mut running = slot(&gpu, &graph).expect("a slot");
+    running.run(&[(input, &value)]).expect("a run while the device lives");
     gpu.destroy();
-    let result = plan.run(&[]);
+    let result = running.run(&[(input, &value)]);
     assert!(matches!(result, Err(Error::DeviceLost(_))), "{result:?}");
-    let again = pollster::block_on(Plan::new(&gpu, &recording, PlanOptions::default()));
+    let again = slot(&gpu, &graph);
     assert!(matches!(again, Err(Error::DeviceLost(_))), "{again:?}");
 }
 
@@ -38,10 +55,12 @@ fn an_adapter_that_is_not_there_is_named() {
 #[test]
 fn a_tensor_past_the_binding_limit_is_refused() {
     let gpu = open(|o| o.timeout = Duration::from_secs(30)).expect("an adapter");
-    let mut recording = Recording::default();
-    recording.tensor("too large", TensorSpec::f32([64 * 1024 * 1024]), Role::Output);
-    let result = pollster::block_on(Plan::new(&gpu, &recording, PlanOptions::default()));
-    match result {
+    let mut graph = Graph::default();
+    let input = graph.input("too large", TensorSpec::f32([1, 8192, 8192]), Extent::Exact);
+    let op = MaxPool2d { kernel: 2, stride: 2, padding: 0 };
+    let output = graph.apply1("pool", op, &[input]).expect("a map");
+    graph.mark_output(output);
+    match slot(&gpu, &graph) {
         Err(Error::Capacity { needed, available, what }) => {
             assert_eq!(needed, 256 * 1024 * 1024);
             assert_eq!(available, 128 * 1024 * 1024);
@@ -54,19 +73,16 @@ fn a_tensor_past_the_binding_limit_is_refused() {
 /// After a time limit ran out the same plan runs again: nothing is left pending.
 #[test]
 fn a_time_limit_is_a_typed_error_and_leaves_the_plan_usable() {
-    use smr_gpu::ops::case::random;
-    use smr_gpu::ops::{Conv2d, Op};
     let run = |timeout| {
         let gpu = open(|o| o.timeout = timeout).expect("an adapter");
-        let mut recording = Recording::default();
+        let mut graph = Graph::default();
         let op = Conv2d { padding: 1, bias: false, ..Conv2d::default() };
-        let input = recording.constant("input", random(1, [64, 80, 80]));
-        let weight = recording.constant("weight", random(2, [64, 64, 3, 3]));
-        let output = recording.tensor("output", TensorSpec::f32([64, 80, 80]), Role::Output);
-        op.record(&mut recording, &[input, weight], &[output]).expect("a recording");
-        let plan = Plan::new(&gpu, &recording, PlanOptions::default());
-        let mut plan = pollster::block_on(plan).expect("a plan");
-        [plan.run(&[]).map(|_| ()), plan.run(&[]).map(|_| ())]
+        let input = graph.constant("input", random(1, [64, 80, 80]));
+        let weight = graph.constant("weight", random(2, [64, 64, 3, 3]));
+        let output = graph.apply1("conv", op, &[input, weight]).expect("a map");
+        graph.mark_output(output);
+        let mut slot = slot(&gpu, &graph).expect("a slot");
+        [slot.run(&[]).map(|_| ()), slot.run(&[]).map(|_| ())]
     };
     for result in run(Duration::ZERO) {
         assert!(matches!(result, Err(Error::Timeout { .. })), "{result:?}");
@@ -80,27 +96,18 @@ fn a_time_limit_is_a_typed_error_and_leaves_the_plan_usable() {
 /// none may take a callback that another runs for a time limit that ran out.
 #[test]
 fn threads_share_a_device() {
-    use smr_gpu::ops::{MaxPool2d, Op};
-    use smr_gpu::shape::Extent;
-    use smr_gpu::tensor::{Tensor, Value};
     const THREADS: usize = 8;
     const RUNS: usize = 200;
     let gpu = open(|_| ()).expect("an adapter");
     let thread = |index: usize| {
-        let mut recording = Recording::default();
-        let input =
-            recording.tensor("input", TensorSpec::f32([1, 4, 4]), Role::Input(Extent::Exact));
-        let output = recording.tensor("output", TensorSpec::f32([1, 2, 2]), Role::Output);
-        let op = MaxPool2d { kernel: 2, stride: 2, padding: 0 };
-        op.record(&mut recording, &[input], &[output]).expect("a recording");
-        let plan = Plan::new(&gpu, &recording, PlanOptions::default());
-        let mut plan = pollster::block_on(plan).expect("a plan");
+        let (graph, input, output) = pooling();
+        let mut slot = slot(&gpu, &graph).expect("a slot");
         for run in 0..RUNS {
             let value = (index * RUNS + run) as f32;
             let given = Value::from(Tensor::from_fn([1, 4, 4], |_| value));
-            let ran = plan.run(&[(input, &given)]).expect("a run");
+            let ran = slot.run(&[(input, &given)]).expect("a run").first();
             let pooled = Value::from(Tensor::from_fn([1, 2, 2], |_| value));
-            assert_eq!(ran.values[&output], pooled, "thread {index}, run {run}");
+            assert_eq!(ran[&output], pooled, "thread {index}, run {run}");
         }
     };
     std::thread::scope(|scope| {

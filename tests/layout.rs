@@ -3,13 +3,15 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use smr_gpu::gpu::reflect;
+use smr_gpu::kernels::{self, Caps};
 use smr_gpu::ops::OPS;
+use smr_gpu::shader::{BindingKind, reflect};
 
 /// `wgpu::Limits::default()`: every WebGPU device has these.
 const WORKGROUP_BYTES: u32 = 16_384;
 const INVOCATIONS: u32 = 256;
 const STORAGE_BUFFERS: u32 = 8;
+const STORAGE_TEXTURES: u32 = 4;
 
 /// Stems of the files in `folder` with this extension.
 fn stems(folder: &str, extension: &str) -> BTreeSet<String> {
@@ -26,58 +28,84 @@ fn stems(folder: &str, extension: &str) -> BTreeSet<String> {
 fn every_operation_has_its_four_files() {
     let ops: BTreeSet<String> = OPS.iter().map(|entry| entry.name.to_owned()).collect();
     assert_eq!(ops.len(), OPS.len(), "two operations share a name");
-    for (folder, extension) in [("wgsl", "wgsl"), ("src/cpu", "rs"), ("tests/ops", "rs")] {
-        let mut found = stems(folder, extension);
+    for folder in ["src/cpu", "tests/ops"] {
+        let mut found = stems(folder, "rs");
         found.remove("mod");
-        assert_eq!(found, ops, "{folder}/*.{extension} (left) against OPS (right)");
+        assert_eq!(found, ops, "{folder}/*.rs (left) against OPS (right)");
     }
-    // This folder also holds what the operations share.
-    let sources = stems("src/ops", "rs");
-    let missing: Vec<_> = ops.difference(&sources).collect();
-    assert!(missing.is_empty(), "not in src/ops: {missing:?}");
+    // These folders also hold what the operations share.
+    for folder in ["src/ops", "src/kernels"] {
+        let sources = stems(folder, "rs");
+        let missing: Vec<_> = ops.difference(&sources).collect();
+        assert!(missing.is_empty(), "not in {folder}: {missing:?}");
+    }
     // A test file that no crate takes in would never run.
     let tests = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/ops.rs");
     let tests = std::fs::read_to_string(tests).expect("tests/ops.rs");
     for op in &ops {
         assert!(tests.contains(&format!("mod {op};")), "{op} is not in tests/ops.rs");
     }
+}
+
+/// A kernel is called as its operation, and its shaders lie where one looks for them.
+#[test]
+fn kernels_and_shaders_are_called_as_their_operation() {
     for entry in OPS {
-        assert_eq!(entry.shader.stem, entry.name);
+        assert!(!kernels::named(entry.name).is_empty(), "{} has no kernel", entry.name);
+        for kernel in kernels::named(entry.name) {
+            let (op, own) = kernel.id().split_once('/').expect("an operation and a name");
+            assert_eq!(op, entry.name);
+            for (shader, _) in kernel.shaders(&Caps::default()) {
+                let stem = shader.stem;
+                let fits = stem == op
+                    || stem.starts_with(&format!("{op}/"))
+                    || OPS.iter().any(|e| e.name == stem);
+                assert!(fits, "{}: {stem}.wgsl is not of {op}, kernel {own}", kernel.id());
+            }
+        }
     }
 }
 
 #[test]
 fn shaders_validate_and_keep_to_the_default_limits() {
     let mut failures = Vec::new();
-    for op in OPS {
+    let sizes = [None, Some(4), Some(8), Some(16), Some(32), Some(64)];
+    let all = sizes.into_iter().flat_map(|subgroup| {
+        let caps = Caps { subgroup, ..Caps::default() };
+        kernels::shaders(&caps)
+    });
+    for (shader, variant) in all {
+        let name = format!("{} {variant}", shader.stem);
         // This also compares naga's offsets of `Params` with Rust's.
-        let reflection = match reflect(op.shader) {
+        let reflection = match reflect(shader, &variant) {
             Ok(reflection) => reflection,
             Err(e) => {
                 failures.push(e.to_string());
                 continue;
             }
         };
-        if reflection.params.is_none() && op.shader.params.size > 0 {
-            failures.push(format!("{}: Rust has Params, the shader has none", op.name));
+        if reflection.params.is_none() && shader.params.size > 0 {
+            failures.push(format!("{name}: Rust has Params, the shader has none"));
         }
         if reflection.entries.is_empty() {
-            failures.push(format!("{}: no entry point", op.name));
+            failures.push(format!("{name}: no entry point"));
         }
         for entry in &reflection.entries {
             let invocations: u32 = entry.workgroup_size.iter().product();
-            let storage = entry.bindings.iter().filter(|(name, _, _)| name != "params").count();
+            let count = |kinds: &[BindingKind]| {
+                entry.bindings.iter().filter(|(_, _, kind)| kinds.contains(kind)).count() as u32
+            };
+            let storage = count(&[BindingKind::Read, BindingKind::ReadWrite]);
             let measured = [
                 ("bytes of workgroup memory", entry.workgroup_bytes, WORKGROUP_BYTES),
                 ("invocations", invocations, INVOCATIONS),
-                ("storage buffers", storage as u32, STORAGE_BUFFERS),
+                ("storage buffers", storage, STORAGE_BUFFERS),
+                ("storage textures", count(&[BindingKind::Texture]), STORAGE_TEXTURES),
             ];
             for (what, got, limit) in measured {
                 if got > limit {
-                    failures.push(format!(
-                        "{}::{}: {got} {what}, at most {limit}",
-                        op.name, entry.name
-                    ));
+                    failures
+                        .push(format!("{}::{}: {got} {what}, at most {limit}", name, entry.name));
                 }
             }
         }

@@ -5,8 +5,10 @@ mod mutate;
 
 use std::sync::{Arc, OnceLock};
 
-use smr_gpu::gpu::{Gpu, GpuOptions, Replacement};
-use smr_gpu::ops::{Expected, find};
+use smr_gpu::check::{check, check_expected};
+use smr_gpu::gpu::{Gpu, GpuOptions};
+use smr_gpu::ops::{Case, Expected, find};
+use smr_gpu::shader::Replacement;
 
 /// A device with bounds checks: what a fault reads or writes outside is defined.
 fn gpu() -> &'static Arc<Gpu> {
@@ -321,8 +323,9 @@ fn each_fault_is_noticed_by_its_case() {
         let case = cases.iter().find(|c| c.name == fault.case);
         let case = case.unwrap_or_else(|| panic!("{} has no case `{}`", fault.op, fault.case));
         let expected = Expected::of(case).expect("a reference");
-        let report = expected.check(&gpu().with_replacement(fault.replacement()));
-        let shows = |failure: &String| !fault.by_hand || failure.contains(": shader by hand: ");
+        let mutated = gpu().with_replacement(fault.replacement());
+        let report = check_expected(&mutated, &expected, &case.inputs);
+        let shows = |failure: &String| !fault.by_hand || failure.contains(": kernel by hand: ");
         if !report.expect("a run").failures.iter().any(shows) {
             missed.push(format!("{}: {}", fault.file, fault.what));
         }
@@ -342,7 +345,7 @@ fn a_mutant_of_each_shader_is_noticed() {
         for op in mutate::users(&file) {
             let mut cases = (op.cases)();
             cases.sort_by_key(|c| c.inputs.iter().map(|v| v.bytes().len()).sum::<usize>());
-            let fails = |case| match Expected::of(case).expect("a reference").check(&mutated) {
+            let fails = |case: &Case| match check(&mutated, case) {
                 Ok(report) => !report.failures.is_empty(),
                 Err(_) => true,
             };

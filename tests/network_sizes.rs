@@ -5,6 +5,7 @@ mod support;
 use std::collections::BTreeSet;
 use std::path::Path;
 
+use smr_gpu::check::check_expected;
 use smr_gpu::model::{Network, Thresholds, Weights};
 use smr_gpu::ops::{Expected, OPS, Op};
 use smr_gpu::shape::TensorSpec;
@@ -26,7 +27,7 @@ fn every_operation_of_the_network_has_a_case_of_its_size() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("weights/smrnet.safetensors");
     let weights = Weights::open(&path).expect("the weights");
     let thresholds = Thresholds { score: 0.05, iou: 0.5, max_detections: 100, class_mask: 3 };
-    let network = Network::new(weights, 1000 * 1000, thresholds).expect("a network");
+    let network = Network::new(weights, thresholds).expect("a network");
     let needed: BTreeSet<String> =
         network.graph.operations().map(|(op, inputs)| size_of(op, &inputs)).collect();
     let mut there = BTreeSet::new();
@@ -61,7 +62,7 @@ fn an_input_in_half_precision_fails_at_every_size_of_the_network() {
             let Some(rounded) = in_half_precision(&case.inputs[i]) else { continue };
             let mut inputs = case.inputs.clone();
             inputs[i] = rounded;
-            let report = expected.check_inputs(gpu(), &inputs).expect("a run");
+            let report = check_expected(gpu(), &expected, &inputs).expect("a run");
             tried += 1;
             if report.failures.is_empty() {
                 let share = report.max_share;

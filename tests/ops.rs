@@ -49,14 +49,15 @@ mod weighted_sum;
 /// Bounds checks may change no bit, so that what the tests find with them holds without.
 #[test]
 fn bounds_checks_change_no_bit() {
+    use smr_gpu::check::run_op;
     use smr_gpu::gpu::{Gpu, GpuOptions};
-    use smr_gpu::ops::{OPS, case::run_op};
+    use smr_gpu::ops::OPS;
     let options = GpuOptions { checked: true, ..GpuOptions::default() };
     let checked = pollster::block_on(Gpu::open(options)).expect("an adapter");
     let mut different = Vec::new();
     for case in OPS.iter().flat_map(|entry| (entry.cases)()) {
         let inputs: Vec<_> = case.inputs.iter().collect();
-        let run = |gpu| run_op(gpu, case.op.as_ref(), &case.inputs).expect("a run");
+        let run = |gpu| run_op(gpu, &case.op, &case.inputs).expect("a run");
         let (with, without) = (run(&checked), run(support::gpu()));
         let defined = case.op.defined(&without.iter().collect::<Vec<_>>(), &inputs);
         for ((a, b), n) in with.iter().zip(&without).zip(defined) {

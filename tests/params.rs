@@ -3,7 +3,9 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use smr_gpu::Error;
-use smr_gpu::gpu::{Recording, Role};
+use smr_gpu::graph::Graph;
+use smr_gpu::kernels::Caps;
+use smr_gpu::lower::{Choice, Request, lower};
 use smr_gpu::ops::{Case, Entry, OPS, Op, Params};
 use smr_gpu::tensor::Value;
 
@@ -86,17 +88,15 @@ fn rebuild(entry: &Entry, case: &Case, name: &str, text: &str) -> Result<Box<dyn
 }
 
 /// What the host does with an operation: shapes, dispatches, reference.
-fn host(op: &dyn Op, inputs: &[Value]) -> Result<(), Error> {
-    let specs: Vec<_> = inputs.iter().map(Value::spec).collect();
-    let outputs = op.infer(&specs)?;
-    let mut recording = Recording::default();
-    let mut ids = Vec::new();
-    for (name, value) in op.inputs().into_iter().zip(inputs) {
-        ids.push(recording.constant(name, value.clone()));
-    }
-    let outputs: Vec<_> =
-        outputs.into_iter().map(|s| recording.tensor("output", s, Role::Output)).collect();
-    op.record(&mut recording, &ids, &outputs)?;
+fn host(op: Box<dyn Op>, inputs: &[Value]) -> Result<(), Error> {
+    let op: std::sync::Arc<dyn Op> = op.into();
+    let mut graph = Graph::default();
+    let named = op.inputs().into_iter().zip(inputs);
+    let ids: Vec<_> = named.map(|(name, value)| graph.constant(name, value.clone())).collect();
+    let outputs = graph.apply_shared("op", op.clone(), &ids)?;
+    outputs.iter().for_each(|id| graph.mark_output(*id));
+    let (caps, choice) = (Caps { subgroup: Some(8), ..Caps::default() }, Choice::default());
+    lower(&graph, &Request { keep: &[], batch: 1, caps: &caps, choice: &choice })?;
     op.reference(&inputs.iter().collect::<Vec<_>>()).map(|_| ())
 }
 
@@ -148,8 +148,7 @@ fn every_parameter_refuses_what_is_outside_its_range() {
                 let text = vec![probe; length].join(",");
                 let what = format!("{} {}={text:?}", entry.name, param.name);
                 let run = || {
-                    rebuild(entry, case, param.name, &text)
-                        .and_then(|op| host(op.as_ref(), &case.inputs))
+                    rebuild(entry, case, param.name, &text).and_then(|op| host(op, &case.inputs))
                 };
                 match catch_unwind(AssertUnwindSafe(run)) {
                     Err(_) => failures.push(format!("{what}: panicked")),

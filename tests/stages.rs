@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use image::DynamicImage;
 use smr_gpu::comparison::relative_l2;
-use smr_gpu::gpu::{Gpu, GpuOptions, Plan, PlanOptions};
+use smr_gpu::gpu::{Gpu, GpuOptions, ProgramOptions, Slot};
 use smr_gpu::host::HostPlan;
 use smr_gpu::model::{ModelConfig, Network, Thresholds, Variant, Weights};
 use smr_gpu::ops::Crop;
@@ -129,17 +129,16 @@ fn buffer_reuse_changes_no_bit() {
     let thresholds = Thresholds { score: 0.05, iou: 0.5, max_detections: 100, class_mask: 3 };
     let rgba = first_sample().to_rgba8();
     let (width, height) = (rgba.width() as usize, rgba.height() as usize);
-    let network = Network::new(weights, width * height, thresholds).expect("a network");
+    let network = Network::new(weights, thresholds).expect("a network");
     let words: Vec<u32> = bytemuck::pod_collect_to_vec(rgba.as_raw());
     let picture = Value::from(Tensor::new([width * height], words).expect("a word a pixel"));
     let crop = Crop::central(width, height).to_tensor(width * height).expect("a crop").into();
-    let recording = network.graph.record(&[]).expect("a recording");
     let run = |reuse| {
-        let options = PlanOptions { reuse, ..PlanOptions::default() };
-        let plan = Plan::new(support::gpu(), &recording, options);
-        let mut plan = pollster::block_on(plan).expect("a plan");
+        let options = ProgramOptions { reuse, ..ProgramOptions::default() };
+        let slot = Slot::of(support::gpu(), &network.graph, &[], options);
+        let mut slot = pollster::block_on(slot).expect("a slot");
         let inputs = [(network.picture, &picture), (network.crop, &crop)];
-        let mut values = plan.run(&inputs).expect("a run").values;
+        let mut values = slot.run(&inputs).expect("a run").first();
         network.graph.truncate(&inputs, &mut values);
         values
     };
@@ -194,17 +193,18 @@ fn bounds_checks_change_no_bit() {
     let full = Variant { safe: true, msff: true, rw: true };
     let weights = Weights::random(small_config(full), 7);
     let thresholds = Thresholds { score: 0.0, iou: 0.5, max_detections: 100, class_mask: u32::MAX };
-    let network = Network::new(weights, 80 * 70, thresholds).expect("a network");
+    let network = Network::new(weights, thresholds).expect("a network");
     let pixel = |i| (i as u32).wrapping_mul(2_654_435_761);
     let picture = Value::from(Tensor::from_fn([80 * 70], pixel));
     let crop = Tensor::new([5], vec![80, 70, 5, 0, 70]).expect("five values").into();
     let inputs = [(network.picture, &picture), (network.crop, &crop)];
-    let recording = network.graph.record(&network.graph.computed()).expect("a recording");
+    let keep = network.graph.computed();
     let run = |checked| {
         let options = GpuOptions { checked, ..GpuOptions::default() };
         let gpu = pollster::block_on(Gpu::open(options)).expect("an adapter");
-        let plan = pollster::block_on(Plan::new(&gpu, &recording, PlanOptions::default()));
-        let mut values = plan.expect("a plan").run(&inputs).expect("a run").values;
+        let slot = Slot::of(&gpu, &network.graph, &keep, ProgramOptions::default());
+        let mut slot = pollster::block_on(slot).expect("a slot");
+        let mut values = slot.run(&inputs).expect("a run").first();
         network.graph.truncate(&inputs, &mut values);
         values
     };
@@ -234,7 +234,7 @@ fn every_variant_matches_its_reference_and_pytorch() {
         let weights = Weights::random(small_config(variant), 7);
         let thresholds =
             Thresholds { score: 0.0, iou: 0.5, max_detections: 100, class_mask: u32::MAX };
-        let network = Network::new(weights, 80 * 70, thresholds).expect("a network");
+        let network = Network::new(weights, thresholds).expect("a network");
         let graph = &network.graph;
         let pixel = |i| (i as u32).wrapping_mul(2_654_435_761);
         let picture = Value::from(Tensor::from_fn([80 * 70], pixel));
@@ -244,11 +244,11 @@ fn every_variant_matches_its_reference_and_pytorch() {
         let names: BTreeSet<_> = keep.iter().map(|id| graph.name(*id)).collect();
         assert_eq!(names.len(), keep.len(), "{label}: two tensors share a name in a dump");
         let (want, _) = graph.reference(&inputs, &keep).expect("the reference");
-        let recording = graph.record(&keep).expect("a recording");
         // Guarded: what a shader reads or writes outside its tensors fails here.
-        let options = PlanOptions { guard: true, ..PlanOptions::default() };
-        let plan = Plan::new(support::gpu(), &recording, options);
-        let got = pollster::block_on(plan).expect("a plan").run(&inputs).expect("a run").values;
+        let options = ProgramOptions { guard: true, ..ProgramOptions::default() };
+        let slot = Slot::of(support::gpu(), graph, &keep, options);
+        let mut slot = pollster::block_on(slot).expect("a slot");
+        let got = slot.run(&inputs).expect("a run").first();
         let mut plan = HostPlan::new(graph, &keep).expect("a plan");
         let (host, _) = plan.run(graph, &inputs).expect("a run");
         for (name, rows) in [

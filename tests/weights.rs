@@ -6,7 +6,7 @@ use std::path::Path;
 
 use safetensors::tensor::{Dtype, TensorView};
 use serde_json::{Value as Json, json};
-use smr_gpu::gpu::{Plan, PlanOptions};
+use smr_gpu::gpu::{ProgramOptions, Slot};
 use smr_gpu::model::{MAX_FILE, ModelConfig, Network, Thresholds, Variant, Weights};
 use smr_gpu::tensor::{Tensor, Value};
 
@@ -164,7 +164,7 @@ fn file(config: &Json, tensors: &[Stored]) -> Vec<u8> {
 }
 
 fn network(bytes: &[u8]) -> smr_gpu::Result<Network> {
-    Network::new(Weights::from_bytes(Path::new("w"), bytes)?, 40 * 40, THRESHOLDS)
+    Network::new(Weights::from_bytes(Path::new("w"), bytes)?, THRESHOLDS)
 }
 
 /// Each combination of the paper's modules loads from a file with exactly the tensors that PyTorch
@@ -193,9 +193,9 @@ fn a_file_of_every_variant_loads_and_runs() {
         assert_eq!(has("reweight"), variant.msff && variant.rw, "{variant:?}");
 
         let (want, _) = graph.reference(&inputs, &keep).expect("the reference");
-        let recording = graph.record(&keep).expect("a recording");
-        let plan = Plan::new(support::gpu(), &recording, PlanOptions::default());
-        let got = pollster::block_on(plan).expect("a plan").run(&inputs).expect("a run").values;
+        let slot = Slot::of(support::gpu(), graph, &keep, ProgramOptions::default());
+        let mut slot = pollster::block_on(slot).expect("a slot");
+        let got = slot.run(&inputs).expect("a run").first();
         let mut maps = 0;
         for id in &keep {
             if !["rpn.cls", "rpn.bbox"].contains(&graph.name(*id)) {
@@ -299,7 +299,7 @@ fn every_value_of_the_configuration_has_a_range() {
     // Also where no file brings it.
     let mut config = ModelConfig::parse(&whole).expect("a configuration");
     config.reduction = 0;
-    let error = Network::new(Weights::random(config, 1), 1600, THRESHOLDS).expect_err("a range");
+    let error = Network::new(Weights::random(config, 1), THRESHOLDS).expect_err("a range");
     assert!(error.to_string().contains("reduction: expected 1 to 64, got 0"), "{error}");
 }
 

@@ -1,6 +1,6 @@
 //! Pictures: any bytes end with a picture within the limits, or with an error.
 
-use smr_gpu::detector::MAX_PIXELS;
+use smr_gpu::model::MAX_PIXELS;
 use smr_gpu::picture::{self, Error};
 
 /// Decodes the bytes, and a PNG once more with its checksums put right.

@@ -4,9 +4,6 @@ use std::path::Path;
 
 use smr_gpu::model::{Network, Thresholds, Weights};
 
-/// Most pixels of the pictures for which the network is built.
-const CAPACITY: usize = 64 * 64;
-
 /// Reads the bytes and builds their network.
 pub fn run(data: &[u8]) {
     let Ok(weights) = Weights::from_bytes(Path::new("bytes"), data) else { return };
@@ -17,7 +14,7 @@ pub fn run(data: &[u8]) {
     }
     let thresholds = Thresholds { score: 0.5, iou: 0.5, max_detections: 100, class_mask: !1 };
     // These files hold no whole network: it tells which tensor is missing.
-    if let Err(error) = Network::new(weights, CAPACITY, thresholds) {
+    if let Err(error) = Network::new(weights, thresholds) {
         assert!(!error.to_string().is_empty());
     }
 }

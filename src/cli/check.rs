@@ -40,7 +40,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             let options = GpuOptions { adapter: gpu_only(other)?.clone(), ..GpuOptions::default() };
             let gpu = pollster::block_on(Gpu::open(options))?;
             tell(format!("{} ({})", gpu.info().name, gpu.info().backend));
-            Box::new(move |case| ops::check(&gpu, case))
+            Box::new(move |case| smr_gpu::check::check(&gpu, case))
         }
     };
     line(format!("{:<20}  {:>5}  {:>14}", "operation", "cases", "error / bound"))?;

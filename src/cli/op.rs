@@ -2,9 +2,11 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
+use std::sync::Arc;
 
+use smr_gpu::check::run_op;
 use smr_gpu::files::Outputs;
-use smr_gpu::ops::{self, Entry, Op, Param, Params, case};
+use smr_gpu::ops::{self, Entry, Op, Param, Params};
 use smr_gpu::tensor::Value;
 use smr_gpu::{Device, Error};
 
@@ -76,7 +78,8 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     params.finish()?;
     let inputs = take_inputs(op.as_ref(), &mut tensors)
         .map_err(|e| Failure::new(Exit::Inputs, format!("{}: {e}", input.display())))?;
-    let outputs = compute(op.as_ref(), &inputs, &args.device.device)?;
+    let op: Arc<dyn Op> = op.into();
+    let outputs = compute(&op, &inputs, &args.device.device)?;
     let named = op.outputs().into_iter().zip(&outputs);
     tensors::write(&mut files, output, named, HashMap::new())?;
     Ok(Exit::Done)
@@ -112,7 +115,7 @@ fn take_inputs(op: &dyn Op, tensors: &mut BTreeMap<String, Value>) -> Result<Vec
     }
 }
 
-fn compute(op: &dyn Op, inputs: &[Value], device: &Device) -> Result<Vec<Value>, Failure> {
+fn compute(op: &Arc<dyn Op>, inputs: &[Value], device: &Device) -> Result<Vec<Value>, Failure> {
     let values: Vec<_> = inputs.iter().collect();
     // The CPU path has no device to refuse a size that no memory holds.
     let needed = op.check(&values)?.iter().map(|s| s.bytes()).max().unwrap_or(0);
@@ -121,7 +124,7 @@ fn compute(op: &dyn Op, inputs: &[Value], device: &Device) -> Result<Vec<Value>,
         return Err(Error::Capacity { what, needed, available: MAX_OUTPUT_BYTES }.into());
     }
     Ok(match open_gpu(device)? {
-        Some(gpu) => case::run_op(&gpu, op, inputs)?,
+        Some(gpu) => run_op(&gpu, op, inputs)?,
         None => op.reference(&values)?,
     })
 }

@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use crate::cpu;
 use crate::error::Result;
-use crate::gpu::TensorId;
+use crate::graph::TensorId;
 use crate::model::Choice;
 use crate::ops::Nms;
 use crate::ops::op::EPS;

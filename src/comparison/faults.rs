@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::{Outcome, Values, compare};
-use crate::gpu::TensorId;
+use crate::graph::TensorId;
 use crate::model::{Network, Thresholds, Weights};
 use crate::ops::Crop;
 use crate::tensor::{Tensor, Value};
@@ -21,7 +21,7 @@ fn network(bytes: &[u8], iou: f32) -> Network {
     let weights = weights.with_input_size(SIZE).expect("a size");
     // Every box counts, so that each stage has something to lose.
     let thresholds = Thresholds { score: 0.0, iou, max_detections: 100, class_mask: u32::MAX };
-    Network::new(weights, 1000 * 1000, thresholds).expect("a network")
+    Network::new(weights, thresholds).expect("a network")
 }
 
 /// A run of the reference over a picture, as a device's.

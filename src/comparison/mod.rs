@@ -33,7 +33,7 @@ pub use choice::ChoiceComparison;
 pub use tensor::{TensorComparison, relative_l2};
 
 use crate::error::{Error, Result};
-use crate::gpu::TensorId;
+use crate::graph::TensorId;
 use crate::model::Network;
 use crate::tensor::{Tensor, Value};
 use choice::{Id, Moved, Side};

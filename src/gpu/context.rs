@@ -5,8 +5,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use crate::error::{Error, Result};
-use crate::gpu::recording::Dispatch;
-use crate::gpu::shader::{self, BindingKind};
+use crate::gpu::program::Resource;
+use crate::kernels::{Caps, Command, Dispatch, Recording, Storage};
+use crate::shader::{self, BindingKind, Variant};
 
 /// Which adapter to open.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -65,12 +66,16 @@ pub struct AdapterReport {
 /// Longest wait for the work under way when a device is closed, if its own limit is not longer.
 const LAST_WAIT: Duration = Duration::from_secs(10);
 
-/// Shader and entry point.
-type PipelineKey = (&'static str, &'static str);
+/// Bytes of weights that may wait to be uploaded.
+const UPLOAD_BYTES: u64 = 16 << 20;
+
+/// Shader, how it is read, and entry point.
+type PipelineKey = (&'static str, Variant, &'static str);
 
 /// A shader entry point, compiled, with its bindings by name.
 #[derive(Debug)]
 pub(super) struct Pipeline {
+    pub label: String,
     pub pipeline: wgpu::ComputePipeline,
     pub layout: wgpu::BindGroupLayout,
     pub bindings: Vec<(String, u32, BindingKind)>,
@@ -82,13 +87,16 @@ pub struct Gpu {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     info: wgpu::AdapterInfo,
+    caps: Caps,
     options: GpuOptions,
     lost: Arc<Mutex<Option<String>>>,
     /// An error that no scope caught; without a handler it would end the process.
     uncaptured: Arc<Mutex<Option<String>>>,
+    /// Bytes that wait to be uploaded.
+    uploads: Mutex<u64>,
     /// Another text for one shader file; such a device compiles with bounds checks.
     replacement: Option<shader::Replacement>,
-    modules: Mutex<HashMap<&'static str, Arc<Module>>>,
+    modules: Mutex<HashMap<(&'static str, Variant), Arc<Module>>>,
     pipelines: Mutex<HashMap<PipelineKey, Arc<Pipeline>>>,
 }
 
@@ -98,9 +106,38 @@ struct Module {
     reflection: shader::Reflection,
 }
 
-/// The limits that every shader keeps to: WebGPU's defaults.
-fn required_limits() -> wgpu::Limits {
-    wgpu::Limits::default()
+/// The limits that every shader keeps to: WebGPU's defaults for compute shaders. Of textures no more
+/// is asked than there is: kernels look at what they get.
+fn required_limits(adapter: &wgpu::Limits) -> wgpu::Limits {
+    let most = wgpu::Limits::default();
+    wgpu::Limits {
+        max_texture_dimension_1d: most
+            .max_texture_dimension_1d
+            .min(adapter.max_texture_dimension_1d),
+        max_texture_dimension_2d: most
+            .max_texture_dimension_2d
+            .min(adapter.max_texture_dimension_2d),
+        max_texture_dimension_3d: most
+            .max_texture_dimension_3d
+            .min(adapter.max_texture_dimension_3d),
+        ..most
+    }
+}
+
+/// What kernels may count on.
+fn caps(info: &wgpu::AdapterInfo, features: wgpu::Features, limits: &wgpu::Limits) -> Caps {
+    let sizes = (info.subgroup_min_size, info.subgroup_max_size);
+    let one_size = sizes.0 == sizes.1 && features.contains(wgpu::Features::SUBGROUP);
+    Caps {
+        subgroup: Some(sizes.0).filter(|_| one_size),
+        texture_side: limits.max_texture_dimension_2d,
+        buffer_bytes: limits.max_storage_buffer_binding_size,
+    }
+}
+
+/// Features that kernels use where an adapter has them.
+fn wanted_features() -> wgpu::Features {
+    wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::SUBGROUP
 }
 
 fn instance() -> wgpu::Instance {
@@ -136,7 +173,7 @@ fn named<'a>(found: &'a [wgpu::Adapter], part: &str) -> Option<&'a wgpu::Adapter
 
 fn lacks(limits: &wgpu::Limits) -> Vec<String> {
     let mut lacks = Vec::new();
-    required_limits().check_limits_with_fail_fn(limits, false, |name, required, actual| {
+    required_limits(limits).check_limits_with_fail_fn(limits, false, |name, required, actual| {
         lacks.push(format!("{name}: required {required}, actual {actual}"));
     });
     lacks
@@ -193,8 +230,8 @@ impl Gpu {
         }
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("smr-gpu"),
-            required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
-            required_limits: required_limits(),
+            required_features: adapter.features() & wanted_features(),
+            required_limits: required_limits(&adapter.limits()),
             ..Default::default()
         };
         let (device, queue) =
@@ -211,12 +248,14 @@ impl Gpu {
             latch.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(e.to_string());
         }));
         Ok(Arc::new(Self {
+            caps: caps(&info, device.features(), &device.limits()),
             device,
             queue,
             info,
             options,
             lost,
             uncaptured,
+            uploads: Mutex::default(),
             replacement: None,
             modules: Mutex::default(),
             pipelines: Mutex::default(),
@@ -231,9 +270,11 @@ impl Gpu {
             device: self.device.clone(),
             queue: self.queue.clone(),
             info: self.info.clone(),
+            caps: self.caps.clone(),
             options: GpuOptions { checked: true, ..self.options.clone() },
             lost: self.lost.clone(),
             uncaptured: self.uncaptured.clone(),
+            uploads: Mutex::default(),
             replacement: Some(replacement),
             modules: Mutex::default(),
             pipelines: Mutex::default(),
@@ -243,6 +284,11 @@ impl Gpu {
     /// The adapter's name, backend and driver.
     pub fn info(&self) -> &wgpu::AdapterInfo {
         &self.info
+    }
+
+    /// What kernels may count on.
+    pub fn caps(&self) -> &Caps {
+        &self.caps
     }
 
     /// Whether stages can be timed on the device.
@@ -294,12 +340,71 @@ impl Gpu {
         }
     }
 
-    fn module(&self, shader: &'static shader::Shader) -> Result<Arc<Module>> {
+    /// Creates what holds a tensor. Behind a buffer lie `guard` bytes more.
+    pub(super) fn create(&self, storage: Storage, guard: u64) -> Resource {
+        match storage {
+            Storage::Buffer { bytes } => {
+                Resource::Buffer(self.device.create_buffer(&wgpu::BufferDescriptor {
+                    label: None,
+                    size: bytes.next_multiple_of(4) + guard,
+                    usage: wgpu::BufferUsages::STORAGE
+                        | wgpu::BufferUsages::INDIRECT
+                        | wgpu::BufferUsages::COPY_SRC
+                        | wgpu::BufferUsages::COPY_DST,
+                    mapped_at_creation: false,
+                }))
+            }
+            Storage::Texture { width, height } => {
+                let texture = self.device.create_texture(&wgpu::TextureDescriptor {
+                    label: None,
+                    size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+                    mip_level_count: 1,
+                    sample_count: 1,
+                    dimension: wgpu::TextureDimension::D2,
+                    format: wgpu::TextureFormat::Rgba32Float,
+                    usage: wgpu::TextureUsages::STORAGE_BINDING | wgpu::TextureUsages::COPY_DST,
+                    view_formats: &[],
+                });
+                let view = texture.create_view(&Default::default());
+                Resource::Texture(texture, view)
+            }
+        }
+    }
+
+    /// Fills a texture of rgba32float.
+    pub(super) fn write_texture(&self, texture: &wgpu::Texture, bytes: &[u8]) {
+        let layout = wgpu::TexelCopyBufferLayout {
+            offset: 0,
+            bytes_per_row: Some(texture.width() * 16),
+            rows_per_image: Some(texture.height()),
+        };
+        self.queue.write_texture(texture.as_image_copy(), bytes, layout, texture.size());
+    }
+
+    /// Counts `bytes` that wait to be uploaded, and passes them on before they are many: until then
+    /// they take as much memory again.
+    pub(super) fn pass_uploads_on(&self, bytes: u64) {
+        let mut waiting = self.uploads.lock().unwrap_or_else(PoisonError::into_inner);
+        *waiting += bytes;
+        if *waiting > UPLOAD_BYTES {
+            *waiting = 0;
+            let submission = self.queue.submit([]);
+            let wait = wgpu::PollType::Wait {
+                submission_index: Some(submission),
+                timeout: Some(self.options.timeout),
+            };
+            // A device that is lost or late says so when the program first runs.
+            let _ = self.device.poll(wait);
+        }
+    }
+
+    fn module(&self, shader: &'static shader::Shader, variant: &Variant) -> Result<Arc<Module>> {
+        let key = (shader.stem, variant.clone());
         let mut modules = self.modules.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(module) = modules.get(shader.stem) {
+        if let Some(module) = modules.get(&key) {
             return Ok(module.clone());
         }
-        let reflection = shader::reflect_with(shader, self.replacement.as_ref())?;
+        let reflection = shader::reflect_with(shader, variant, self.replacement.as_ref())?;
         let desc = wgpu::ShaderModuleDescriptor {
             label: Some(shader.stem),
             source: wgpu::ShaderSource::Wgsl(reflection.text.as_str().into()),
@@ -316,46 +421,71 @@ impl Gpu {
             }
         };
         let module = Arc::new(Module { module, reflection });
-        modules.insert(shader.stem, module.clone());
+        modules.insert(key, module.clone());
         Ok(module)
+    }
+
+    /// Compiles what the dispatches of `recording` need and is not compiled yet, on all cores.
+    pub(super) fn compile(&self, recording: &Recording) -> Result<()> {
+        let mut wanted: HashMap<PipelineKey, &Dispatch> = HashMap::new();
+        for command in recording.commands() {
+            if let Command::Dispatch(dispatch) = command {
+                let key = (dispatch.shader.stem, dispatch.variant.clone(), dispatch.entry);
+                wanted.entry(key).or_insert(dispatch);
+            }
+        }
+        for dispatch in wanted.values() {
+            self.pipeline(dispatch)?;
+        }
+        Ok(())
     }
 
     /// The pipeline for a dispatch, compiled on first use.
     pub(super) fn pipeline(&self, dispatch: &Dispatch) -> Result<Arc<Pipeline>> {
         let shader = dispatch.shader;
-        let key = (shader.stem, dispatch.entry);
-        let mut pipelines = self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(pipeline) = pipelines.get(&key) {
-            return Ok(pipeline.clone());
+        let key = (shader.stem, dispatch.variant.clone(), dispatch.entry);
+        let known = |key: &PipelineKey| {
+            self.pipelines.lock().unwrap_or_else(PoisonError::into_inner).get(key).cloned()
+        };
+        if let Some(pipeline) = known(&key) {
+            return Ok(pipeline);
         }
-        let module = self.module(shader)?;
+        let module = self.module(shader, &dispatch.variant)?;
         let entry = module.reflection.entries.iter().find(|e| e.name == dispatch.entry);
         let entry = entry.ok_or_else(|| Error::Shader {
             file: format!("{}.wgsl", shader.stem),
             line: 0,
             message: format!("no entry point `{}`", dispatch.entry),
         })?;
+        let buffer = |ty| wgpu::BindingType::Buffer {
+            ty,
+            has_dynamic_offset: false,
+            min_binding_size: None,
+        };
         let layout_entries: Vec<_> = entry
             .bindings
             .iter()
             .map(|(_, binding, kind)| wgpu::BindGroupLayoutEntry {
                 binding: *binding,
                 visibility: wgpu::ShaderStages::COMPUTE,
-                ty: wgpu::BindingType::Buffer {
-                    ty: match kind {
-                        BindingKind::Uniform => wgpu::BufferBindingType::Uniform,
-                        BindingKind::Read => wgpu::BufferBindingType::Storage { read_only: true },
-                        BindingKind::ReadWrite => {
-                            wgpu::BufferBindingType::Storage { read_only: false }
-                        }
+                ty: match kind {
+                    BindingKind::Uniform => buffer(wgpu::BufferBindingType::Uniform),
+                    BindingKind::Read => {
+                        buffer(wgpu::BufferBindingType::Storage { read_only: true })
+                    }
+                    BindingKind::ReadWrite => {
+                        buffer(wgpu::BufferBindingType::Storage { read_only: false })
+                    }
+                    BindingKind::Texture => wgpu::BindingType::StorageTexture {
+                        access: wgpu::StorageTextureAccess::ReadOnly,
+                        format: wgpu::TextureFormat::Rgba32Float,
+                        view_dimension: wgpu::TextureViewDimension::D2,
                     },
-                    has_dynamic_offset: false,
-                    min_binding_size: None,
                 },
                 count: None,
             })
             .collect();
-        let label = format!("{}::{}", shader.stem, dispatch.entry);
+        let label = format!("{}::{} {}", shader.stem, dispatch.entry, dispatch.variant);
         let layout = self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some(&label),
             entries: &layout_entries,
@@ -377,9 +507,11 @@ impl Gpu {
             },
             cache: None,
         });
-        let pipeline = Arc::new(Pipeline { pipeline, layout, bindings: entry.bindings.clone() });
-        pipelines.insert(key, pipeline.clone());
-        Ok(pipeline)
+        let bindings = entry.bindings.clone();
+        let label = label.trim_end().to_owned();
+        let pipeline = Arc::new(Pipeline { label, pipeline, layout, bindings });
+        let mut pipelines = self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
+        Ok(pipelines.entry(key).or_insert(pipeline).clone())
     }
 
     /// Forgets every compiled shader: one that the driver refused must not serve the next plan.

@@ -1,18 +1,15 @@
-//! Everything that touches wgpu: the device, shaders, recordings and their execution.
+//! Everything that touches wgpu: the device, programs and their runs.
 //!
-//! `recording` is device-free: operations write [`Dispatch`]es into a [`Recording`], which
-//! [`Plan`] turns once into buffers, pipelines and bind groups, and then runs any number of times.
+//! A [`Program`] is what a graph was lowered to, on a device: pipelines and weights, shared by all runs.
+//! A [`Slot`] is one run's worth of memory, so that several pictures can be in flight.
 
-mod arena;
 mod context;
-mod executor;
+mod poison;
+mod program;
 mod readback;
-mod recording;
-mod shader;
+mod slot;
 
 pub use context::{AdapterChoice, AdapterReport, Gpu, GpuOptions, adapters};
-pub use executor::{Plan, PlanOptions, Poison, RunOutput, StageTime};
-pub use recording::{Dispatch, Grid, MAX_WORKGROUPS, Recording, Role, Stage, TensorId, TensorInfo};
-pub(crate) use shader::shader_params;
-pub use shader::{EntryReflection, Reflection};
-pub use shader::{ParamLayout, Replacement, Shader, reflect, reflect_replaced};
+pub use poison::Poison;
+pub use program::{Profile, Program, ProgramOptions};
+pub use slot::{Inputs, RunOutput, Slot};

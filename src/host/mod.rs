@@ -32,7 +32,7 @@ use std::any::Any;
 
 use crate::error::Result;
 use crate::graph::Graph;
-use crate::ops::case::{Case, Expected, Report};
+use crate::ops::case::{Case, Expected, Report, WEIGHTS};
 use crate::ops::{
     ApplyGates, ChannelPool, Conv2d, CropResize, GlobalAvgPool, Linear, MaxPool2d, Op, RoiAlign,
     SpatialGate, SpatialPool, Tolerance, UpsampleBilinear, WeightedSum,
@@ -104,9 +104,6 @@ fn kernel(
     }
     Ok(None)
 }
-
-/// Inputs that are known when the network is built; the others change with each picture.
-const WEIGHTS: [&str; 6] = ["weight", "bias", "fc1_weight", "fc1_bias", "fc2_weight", "fc2_bias"];
 
 /// Runs `case` by this module's kernels and holds it to the reference.
 ///

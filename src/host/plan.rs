@@ -1,13 +1,13 @@
 //! A [`HostPlan`]: a graph made ready to run on the CPU.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::kernel::{Data, Kernel, Layout, convert};
 use super::reference::Reference;
 use crate::error::{Error, Result};
-use crate::gpu::{StageTime, TensorId};
-use crate::graph::{Graph, Source};
+use crate::graph::{Graph, Source, StageTime, TensorId};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -251,14 +251,16 @@ impl Builder<'_> {
         let spec = |id: &TensorId| self.graph.spec(*id).clone();
         let input_specs: Vec<_> = node.inputs.iter().map(spec).collect();
         let output_specs: Vec<_> = node.outputs.iter().map(spec).collect();
-        let known: Vec<_> = node
+        // Made for this operation alone, and gone once they are packed.
+        let values: Vec<Option<Arc<Value>>> = node
             .inputs
             .iter()
             .map(|id| match &self.graph.tensors()[id.0].source {
-                Source::Constant(value) => Some(value.as_ref()),
-                _ => None,
+                Source::Constant { constant, .. } => constant.get().map(Some),
+                _ => Ok(None),
             })
-            .collect();
+            .collect::<Result<_>>()?;
+        let known: Vec<Option<&Value>> = values.iter().map(Option::as_deref).collect();
         let (op, outputs) = (node.op.as_ref(), &output_specs);
         let kernel = match super::kernel(op, &input_specs, outputs, &known)? {
             Some(kernel) => kernel,

@@ -1,8 +1,7 @@
 //! SAFE-Net: ResNet-34 with a CBAM after conv1 and after each of its four stages.
 
 use crate::error::Result;
-use crate::gpu::TensorId;
-use crate::graph::Graph;
+use crate::graph::{Graph, TensorId};
 use crate::model::cbam::cbam;
 use crate::model::config::Variant;
 use crate::model::layers::conv_bn;

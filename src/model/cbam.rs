@@ -4,8 +4,7 @@
 //! what this is, with reduction 16 and the batch norm of CBAM's published code on the spatial gate.
 
 use crate::error::Result;
-use crate::gpu::TensorId;
-use crate::graph::Graph;
+use crate::graph::{Graph, TensorId};
 use crate::model::weights::Weights;
 use crate::ops::{ApplyGates, ChannelGate, ChannelPool, SpatialGate, SpatialPool};
 

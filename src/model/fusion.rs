@@ -1,8 +1,7 @@
 //! MSFF-Net and RW-Net: three scales brought to one size and summed by learned weights.
 
 use crate::error::{Error, Result};
-use crate::gpu::TensorId;
-use crate::graph::Graph;
+use crate::graph::{Graph, TensorId};
 use crate::model::cbam::cbam;
 use crate::model::layers::{conv_bn, convolve};
 use crate::model::weights::{Folded, Weights};

@@ -1,8 +1,7 @@
 //! Layers that several stages share.
 
 use crate::error::Result;
-use crate::gpu::TensorId;
-use crate::graph::Graph;
+use crate::graph::{Graph, TensorId};
 use crate::model::weights::{Folded, Weights};
 use crate::ops::Conv2d;
 use crate::shape::Shape;

@@ -16,10 +16,12 @@ pub use weights::{MAX_FILE, Weights};
 use backbone::Features;
 
 use crate::error::{Error, Result};
-use crate::gpu::TensorId;
-use crate::graph::Graph;
+use crate::graph::{Graph, TensorId};
 use crate::ops::{CropResize, Nms};
 use crate::shape::{Extent, TensorSpec};
+
+/// Pixels of the largest picture: as RGBA8 they fill the 128 MiB that every device can bind.
+pub const MAX_PIXELS: usize = (128 << 20) / 4;
 
 /// The whole network as a graph, with the ids of what goes in and comes out.
 #[derive(Debug)]
@@ -28,7 +30,7 @@ pub struct Network {
     pub graph: Graph,
     /// The configuration that the weights carry.
     pub config: ModelConfig,
-    /// Input: packed RGBA pixels, u32 `[capacity]` or shorter.
+    /// Input: packed RGBA pixels, u32 `[MAX_PIXELS]` or shorter.
     pub picture: TensorId,
     /// Input: picture width and height, then x, y and side of the square crop, u32 `[5]`.
     pub crop: TensorId,
@@ -83,17 +85,17 @@ pub struct Witness {
 }
 
 impl Network {
-    /// Builds the network from `weights` for pictures of at most `capacity` pixels.
+    /// Builds the network from `weights`.
     ///
     /// # Errors
     /// [`Error::Weights`] for a configuration out of its ranges and for tensors that are missing,
     /// misshapen or left over.
-    pub fn new(mut weights: Weights, capacity: usize, thresholds: Thresholds) -> Result<Self> {
+    pub fn new(mut weights: Weights, thresholds: Thresholds) -> Result<Self> {
         let config = weights.config().clone();
         // Untrained weights come with a configuration that nothing has looked at yet.
         config.check().map_err(|message| Error::Weights { file: "weights".into(), message })?;
         let mut graph = Graph::default();
-        let picture = graph.input("picture", TensorSpec::u32([capacity]), Extent::UpTo);
+        let picture = graph.input("picture", TensorSpec::u32([MAX_PIXELS]), Extent::UpTo);
         let crop = graph.input("crop", TensorSpec::u32([5]), Extent::Exact);
         graph.begin_stage("input");
         let resize = CropResize { size: config.input_size, mean: config.mean, std: config.std };

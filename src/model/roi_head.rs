@@ -1,8 +1,7 @@
 //! The RoI head: what each proposal is, and where exactly.
 
 use crate::error::Result;
-use crate::gpu::TensorId;
-use crate::graph::Graph;
+use crate::graph::{Graph, TensorId};
 use crate::model::Choice;
 use crate::model::fusion::CHANNELS;
 use crate::model::rpn::Proposals;

@@ -4,8 +4,7 @@
 //! fused map. Order, box coding, clipping and limits follow torchvision.
 
 use crate::error::Result;
-use crate::gpu::TensorId;
-use crate::graph::Graph;
+use crate::graph::{Graph, TensorId};
 use crate::model::Choice;
 use crate::model::fusion::CHANNELS;
 use crate::model::layers::conv;

@@ -2,7 +2,6 @@
 
 use crate::cpu;
 use crate::error::Result;
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::sum_error;
 use crate::ops::case::{Case, GATED_MAPS, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, expect, map_dims};
@@ -10,26 +9,12 @@ use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
-shader_params! {
-    struct Params {
-        channels: u32,
-        area: u32,
-    }
-}
-
-static SHADER: Shader = Shader {
-    stem: "apply_gates",
-    source: include_str!("../../wgsl/apply_gates.wgsl"),
-    params: PARAMS,
-};
-
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "apply_gates",
     takes: "input [C, H, W], channel_gate [C], spatial_gate [1, H, W]",
     gives: "output [C, H, W]",
     params: &[],
-    shader: &SHADER,
     build,
     cases,
 };
@@ -64,25 +49,6 @@ impl Op for ApplyGates {
         expect(name, "channel_gate", &TensorSpec::f32([channels]), &inputs[1])?;
         expect(name, "spatial_gate", &TensorSpec::f32([1, height, width]), &inputs[2])?;
         Ok(vec![inputs[0].clone()])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
-        let params = Params { channels, area: height * width };
-        let bindings = [
-            ("input", inputs[0]),
-            ("channel_gate", inputs[1]),
-            ("spatial_gate", inputs[2]),
-            ("output", outputs[0]),
-        ];
-        let grid = Grid::linear(recording.info(outputs[0]).spec.shape.elements(), 64);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {

@@ -1,4 +1,4 @@
-//! Cases and bounds as data, and the check that holds a shader to them.
+//! Cases and bounds as data.
 //!
 //! Tests run these, and so may anyone who replaces a shader or brings a new driver.
 
@@ -6,8 +6,7 @@ use std::sync::Arc;
 
 use rand::{RngExt, SeedableRng};
 
-use crate::error::{Error, Result};
-use crate::gpu::{Gpu, Plan, PlanOptions, Poison, Recording, Role, TensorId};
+use crate::error::Result;
 use crate::ops::op::{Op, Tolerance};
 use crate::shape::Shape;
 use crate::tensor::{Tensor, Value};
@@ -73,23 +72,13 @@ pub struct Report {
     pub failures: Vec<String>,
 }
 
-/// Runs `case` on `gpu` with poisoned, guarded buffers and holds it to the reference within the
-/// operation's bound; where there are outputs by hand, holds both to those.
-///
-/// # Errors
-/// What the operation or the device returns. Wrong values are no error, but failures in the
-/// report.
-pub fn check(gpu: &Arc<Gpu>, case: &Case) -> Result<Report> {
-    Expected::of(case)?.check(gpu)
-}
-
 /// A case with what must come of it, to check several devices or shaders.
 #[derive(Debug)]
 pub struct Expected<'a> {
     case: &'a Case,
-    reference: Vec<Value>,
+    pub(crate) reference: Vec<Value>,
     bounds: Vec<Tolerance>,
-    defined: Vec<usize>,
+    pub(crate) defined: Vec<usize>,
 }
 
 impl<'a> Expected<'a> {
@@ -113,8 +102,8 @@ impl<'a> Expected<'a> {
         self.case
     }
 
-    /// Holds `outputs` that something else than a shader computed to the reference, within `bounds`
-    /// of its own where it has some; where there are outputs by hand, to those too.
+    /// Holds `outputs` to the reference, within `bounds` of their own where there are some; where there
+    /// are outputs by hand, to those too.
     pub fn judge(&self, outputs: &[Value], bounds: Option<Vec<Tolerance>>) -> Report {
         let bounds = bounds.as_ref().filter(|_| !self.case.exact).unwrap_or(&self.bounds);
         let mut report = Report { max_error: 0.0, max_share: 0.0, failures: Vec::new() };
@@ -128,117 +117,11 @@ impl<'a> Expected<'a> {
         }
         report
     }
-
-    /// As [`check`].
-    ///
-    /// # Errors
-    /// As [`check`].
-    pub fn check(&self, gpu: &Arc<Gpu>) -> Result<Report> {
-        self.check_inputs(gpu, &self.case.inputs)
-    }
-
-    /// Runs the shader on other `inputs` and holds it to what the case's own would give.
-    ///
-    /// # Errors
-    /// As [`check`].
-    pub fn check_inputs(&self, gpu: &Arc<Gpu>, inputs: &[Value]) -> Result<Report> {
-        let case = self.case;
-        let runs = run_guarded(gpu, case.op.as_ref(), inputs)?;
-        let mut report = Report { max_error: 0.0, max_share: 0.0, failures: Vec::new() };
-        for (i, name) in case.op.outputs().into_iter().enumerate() {
-            let (n, bound, want) = (self.defined[i], &self.bounds[i], &self.reference[i]);
-            let what = format!("{} / {} / {name}", case.op.name(), case.name);
-            let shader = &runs[0].values[i];
-            compare(&what, "shader", shader, want, bound, n, &mut report);
-            if let Some(hand) = &case.by_hand {
-                let mut by_hand = Report { failures: Vec::new(), ..report };
-                compare(&what, "reference", want, &hand[i], bound, n, &mut by_hand);
-                compare(&what, "shader by hand", shader, &hand[i], bound, n, &mut by_hand);
-                report.failures.append(&mut by_hand.failures);
-            }
-            runs.iter().for_each(|run| run.check_untouched(&what, i, n, &mut report));
-            let [a, b] = [0, 1].map(|run| &runs[run].values[i].bytes()[..4 * n]);
-            if a != b {
-                let line = format!("{what}: depends on what its buffers held before");
-                report.failures.push(line);
-            }
-        }
-        Ok(report)
-    }
 }
 
-/// Runs one operation on the device: every input is known when recording.
-///
-/// # Errors
-/// What the operation or the device returns.
-pub fn run_op(gpu: &Arc<Gpu>, op: &dyn Op, inputs: &[Value]) -> Result<Vec<Value>> {
-    let (mut plan, outputs) = plan_op(gpu, op, inputs, false)?;
-    run_plan(&mut plan, op, &outputs)
-}
-
-/// The outputs of a run whose buffers held `poison`.
-struct GuardedRun {
-    poison: Poison,
-    ids: Vec<TensorId>,
-    values: Vec<Value>,
-}
-
-impl GuardedRun {
-    /// What lies behind the defined elements must still be the poison: nobody wrote it.
-    fn check_untouched(&self, what: &str, output: usize, defined: usize, report: &mut Report) {
-        let words: Vec<u32> = bytemuck::pod_collect_to_vec(self.values[output].bytes());
-        let poison = |at: usize| self.poison.word(self.ids[output], at);
-        if let Some(at) = (defined..words.len()).find(|at| words[*at] != poison(*at)) {
-            let line = format!("{what}: wrote element {at} behind the count {defined}");
-            report.failures.push(line);
-        }
-    }
-}
-
-/// Runs an operation once for each kind of poison: what one hides the other shows.
-fn run_guarded(gpu: &Arc<Gpu>, op: &dyn Op, inputs: &[Value]) -> Result<[GuardedRun; 2]> {
-    let (mut plan, ids) = plan_op(gpu, op, inputs, true)?;
-    let mut run = |poison| -> Result<GuardedRun> {
-        plan.poison_with(poison);
-        Ok(GuardedRun { poison, values: run_plan(&mut plan, op, &ids)?, ids: ids.clone() })
-    };
-    Ok([run(Poison::Nan)?, run(Poison::Finite)?])
-}
-
-fn plan_op(
-    gpu: &Arc<Gpu>,
-    op: &dyn Op,
-    inputs: &[Value],
-    guard: bool,
-) -> Result<(Plan, Vec<TensorId>)> {
-    let out_specs = op.check(&inputs.iter().collect::<Vec<_>>())?;
-    let mut recording = Recording::default();
-    recording.begin_stage(op.name());
-    let names = op.inputs();
-    let ids: Vec<_> =
-        inputs.iter().zip(names).map(|(v, n)| recording.constant(n, v.clone())).collect();
-    let outs: Vec<_> = out_specs
-        .into_iter()
-        .zip(op.outputs())
-        .map(|(spec, name)| recording.tensor(name, spec, Role::Output))
-        .collect();
-    op.record(&mut recording, &ids, &outs)?;
-    let options = PlanOptions { reuse: true, guard, profile: false };
-    Ok((pollster::block_on(Plan::new(gpu, &recording, options))?, outs))
-}
-
-fn run_plan(plan: &mut Plan, op: &dyn Op, outputs: &[TensorId]) -> Result<Vec<Value>> {
-    let mut run = plan.run(&[])?;
-    outputs
-        .iter()
-        .zip(op.outputs())
-        .map(|(id, name)| {
-            run.values
-                .remove(id)
-                .ok_or_else(|| Error::tensor(op.name(), name, "an output", "nothing read back"))
-        })
-        .collect()
-}
+/// Inputs that are known when a network is built; the others change with each picture.
+pub(crate) const WEIGHTS: [&str; 6] =
+    ["weight", "bias", "fc1_weight", "fc1_bias", "fc2_weight", "fc2_bias"];
 
 fn compare(
     what: &str,
@@ -258,7 +141,7 @@ fn compare(
     let mut first = None;
     for i in 0..defined {
         let (error, limit) = bound.judge(got, want, i);
-        if matches!(whose, "shader" | "kernel") {
+        if whose == "kernel" {
             report.max_error = report.max_error.max(error);
             if limit > 0.0 {
                 report.max_share = report.max_share.max(error / limit);
@@ -375,7 +258,7 @@ mod tests {
         let (nan, two) = (values([2], &[f32::NAN, 1.0]), values([2], &[2.0, 1.0]));
         let failures = |got: &Value, want: &Value, bound: Tolerance| {
             let mut report = Report { max_error: 0.0, max_share: 0.0, failures: Vec::new() };
-            compare("case", "shader", got, want, &bound, 2, &mut report);
+            compare("case", "kernel", got, want, &bound, 2, &mut report);
             report.failures.len()
         };
         // A bound from inputs with a NaN is none.

@@ -2,7 +2,6 @@
 
 use crate::cpu;
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{SumOrder, magnitude, sigmoid_error};
 use crate::ops::case::{Case, one_way, one_way_sum, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
@@ -10,32 +9,16 @@ use crate::ops::params::{Params as Named, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
-shader_params! {
-    struct Params {
-        channels: u32,
-        hidden: u32,
-    }
-}
-
-static SHADER: Shader = Shader {
-    stem: "channel_gate",
-    source: include_str!("../../wgsl/channel_gate.wgsl"),
-    params: PARAMS,
-};
-
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "channel_gate",
     takes: "pooled [2, C], fc1_weight [R, C], fc1_bias [R], fc2_weight [C, R], fc2_bias [C]",
     gives: "output [C]",
     params: &[],
-    shader: &SHADER,
     build,
     cases,
 };
 
-/// Hidden units that fit in the shader's workgroup memory.
-const CAPACITY: usize = 1024;
 /// Invocations that share the columns of a row of the first layer.
 pub(super) const LANES: usize = 16;
 
@@ -78,28 +61,6 @@ impl Op for ChannelGate {
         expect(name, "fc2_weight", &TensorSpec::f32([channels, hidden]), &inputs[3])?;
         expect(name, "fc2_bias", &TensorSpec::f32([channels]), &inputs[4])?;
         Ok(vec![TensorSpec::f32([channels])])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let [hidden, channels] = [0, 1].map(|i| recording.dims(inputs[1])[i]);
-        if hidden > CAPACITY {
-            return Err(Error::Capacity {
-                what: format!("{}: hidden units", self.name()),
-                needed: hidden as u64,
-                available: CAPACITY as u64,
-            });
-        }
-        let params = Params { channels: channels as u32, hidden: hidden as u32 };
-        let mut bindings: Vec<_> = self.inputs().into_iter().zip(inputs.iter().copied()).collect();
-        bindings.push(("output", outputs[0]));
-        let grid = Grid::Workgroups([1, 1, 1]);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {

@@ -2,7 +2,6 @@
 
 use crate::cpu;
 use crate::error::Result;
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{PARTIAL_SUMS, SumOrder, magnitude, mean_error};
 use crate::ops::case::{Case, GATED_MAPS, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, map_dims};
@@ -10,26 +9,12 @@ use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::{Tensor, Value};
 
-shader_params! {
-    struct Params {
-        channels: u32,
-        area: u32,
-    }
-}
-
-static SHADER: Shader = Shader {
-    stem: "channel_pool",
-    source: include_str!("../../wgsl/channel_pool.wgsl"),
-    params: PARAMS,
-};
-
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "channel_pool",
     takes: "input [C, H, W]",
     gives: "output [2, C]",
     params: &[],
-    shader: &SHADER,
     build,
     cases,
 };
@@ -60,20 +45,6 @@ impl Op for ChannelPool {
     fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let [channels, ..] = map_dims(self.name(), "input", &inputs[0])?;
         Ok(vec![TensorSpec::f32([2, channels])])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
-        let params = Params { channels, area: height * width };
-        let bindings = [("input", inputs[0]), ("output", outputs[0])];
-        let grid = Grid::linear(channels as usize, 1);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {

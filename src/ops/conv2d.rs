@@ -2,34 +2,12 @@
 
 use crate::cpu::{self, ConvShape};
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Grid, MAX_WORKGROUPS, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{Joined, SumOrder, magnitude};
 use crate::ops::case::{Case, one_way, one_way_sum, random};
 use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
-
-shader_params! {
-    struct Params {
-        in_channels: u32,
-        in_height: u32,
-        in_width: u32,
-        out_channels: u32,
-        out_height: u32,
-        out_width: u32,
-        kernel_height: u32,
-        kernel_width: u32,
-        stride: u32,
-        padding: u32,
-        dilation: u32,
-        has_residual: u32,
-        relu: u32,
-    }
-}
-
-static SHADER: Shader =
-    Shader { stem: "conv2d", source: include_str!("../../wgsl/conv2d.wgsl"), params: PARAMS };
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
@@ -42,7 +20,6 @@ pub static ENTRY: Entry = Entry {
         Param::optional("dilation", "1", Range::Whole(1, MAX_PARAM)),
         Param::optional("relu", "false", Range::Flag),
     ],
-    shader: &SHADER,
     build,
     cases,
 };
@@ -50,9 +27,7 @@ pub static ENTRY: Entry = Entry {
 /// Largest stride, dilation and padding: far past any use, and safe in the shader's u32 arithmetic.
 const MAX_PARAM: u64 = 4096;
 /// Output channels that one workgroup computes.
-const CHANNELS: usize = 64;
-/// Output pixels that one workgroup computes.
-const PIXELS: usize = 64;
+pub(crate) const CHANNELS: usize = 64;
 
 /// PyTorch's `conv2d` on `[C, H, W]`, then `+ residual`, then ReLU.
 ///
@@ -87,7 +62,10 @@ impl Conv2d {
     }
 
     /// Splits the inputs that came into the named ones.
-    fn split<'a, T>(&self, inputs: &'a [T]) -> (&'a T, &'a T, Option<&'a T>, Option<&'a T>) {
+    pub(crate) fn split<'a, T>(
+        &self,
+        inputs: &'a [T],
+    ) -> (&'a T, &'a T, Option<&'a T>, Option<&'a T>) {
         let bias = self.bias.then(|| &inputs[2]);
         let residual = self.residual.then(|| &inputs[2 + usize::from(self.bias)]);
         (&inputs[0], &inputs[1], bias, residual)
@@ -143,66 +121,6 @@ impl Op for Conv2d {
         Ok(vec![output])
     }
 
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let (&input, &weight, bias, residual) = self.split(inputs);
-        let [in_c, in_h, in_w] = [0, 1, 2].map(|i| recording.dims(input)[i] as u32);
-        let [out_c, _, kh, kw] = [0, 1, 2, 3].map(|i| recording.dims(weight)[i] as u32);
-        let [out_h, out_w] = [1, 2].map(|i| recording.dims(outputs[0])[i] as u32);
-        let name = recording.info(weight).name.clone();
-        let packed = pack_weight(recording.constant_value(self.name(), weight)?.f32()?);
-        let padded = pad_bias(
-            match bias {
-                Some(id) => recording.constant_value(self.name(), *id)?.f32()?.data().to_vec(),
-                None => Vec::new(),
-            },
-            out_c as usize,
-        );
-        let weight = recording.constant(format!("{name} (packed)"), packed);
-        let bias = recording.constant(format!("{name} (bias)"), padded);
-        let tiles = (out_h * out_w).div_ceil(PIXELS as u32);
-        let groups = out_c.div_ceil(CHANNELS as u32);
-        for (what, needed) in [("pixels", tiles), ("channels", groups)] {
-            if needed > MAX_WORKGROUPS {
-                return Err(Error::Capacity {
-                    what: format!("conv2d: workgroups of 64 {what}"),
-                    needed: needed.into(),
-                    available: MAX_WORKGROUPS.into(),
-                });
-            }
-        }
-        let params = Params {
-            in_channels: in_c,
-            in_height: in_h,
-            in_width: in_w,
-            out_channels: out_c,
-            out_height: out_h,
-            out_width: out_w,
-            kernel_height: kh,
-            kernel_width: kw,
-            stride: self.stride as u32,
-            padding: self.padding as u32,
-            dilation: self.dilation as u32,
-            has_residual: u32::from(self.residual),
-            relu: u32::from(self.relu),
-        };
-        let bindings = [
-            ("input", input),
-            ("weight", weight),
-            ("bias", bias),
-            // Any readable buffer serves where there is no residual: it is not read.
-            ("residual", *residual.unwrap_or(&input)),
-            ("output", outputs[0]),
-        ];
-        let grid = Grid::Workgroups([tiles, groups, 1]);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
-    }
-
     fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let (input, weight, bias, residual) = self.split(inputs);
         let bias = bias.map(|v| v.f32()).transpose()?;
@@ -228,27 +146,6 @@ impl Op for Conv2d {
     fn unbiased(&self) -> bool {
         true
     }
-}
-
-/// `[O, I, kh, kw]` to `[kh, kw, I, O']`, with zeros up to a whole number of [`CHANNELS`].
-fn pack_weight(weight: &Tensor) -> Tensor {
-    let [out_c, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
-    let padded = out_c.next_multiple_of(CHANNELS);
-    let mut packed = Tensor::zeros([kh, kw, in_c, padded]);
-    let to = packed.data_mut();
-    for o in 0..out_c {
-        for i in 0..in_c {
-            for tap in 0..kh * kw {
-                to[(tap * in_c + i) * padded + o] = weight.data()[(o * in_c + i) * kh * kw + tap];
-            }
-        }
-    }
-    packed
-}
-
-fn pad_bias(mut bias: Vec<f32>, out_c: usize) -> Tensor {
-    bias.resize(out_c.next_multiple_of(CHANNELS), 0.0);
-    Tensor::from_fn([bias.len()], |i| bias[i])
 }
 
 fn build(params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {

@@ -2,34 +2,11 @@
 
 use crate::cpu::{self, Crop};
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, values};
 use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
-
-shader_params! {
-    struct Params {
-        size: u32,
-        capacity: u32,
-        shift_r: f32,
-        shift_g: f32,
-        shift_b: f32,
-        rest_r: f32,
-        rest_g: f32,
-        rest_b: f32,
-        std_r: f32,
-        std_g: f32,
-        std_b: f32,
-    }
-}
-
-static SHADER: Shader = Shader {
-    stem: "crop_resize",
-    source: include_str!("../../wgsl/crop_resize.wgsl"),
-    params: PARAMS,
-};
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
@@ -41,7 +18,6 @@ pub static ENTRY: Entry = Entry {
         Param::required("mean", "0.5,0.5,0.5", Range::Numbers(MEAN[0], MEAN[1])),
         Param::required("std", "0.2,0.2,0.2", Range::Numbers(STD[0], STD[1])),
     ],
-    shader: &SHADER,
     build,
     cases,
 };
@@ -149,34 +125,6 @@ impl Op for CropResize {
         }
         expect(name, "crop", &TensorSpec::u32([5]), &inputs[1])?;
         Ok(vec![TensorSpec::f32([3, self.size, self.size])])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let [shift_r, shift_g, shift_b] = self.shift().map(|(shift, _)| f32::from(shift));
-        let [rest_r, rest_g, rest_b] = self.shift().map(|(_, rest)| rest as f32);
-        let [std_r, std_g, std_b] = self.std;
-        let params = Params {
-            size: self.size as u32,
-            capacity: recording.dims(inputs[0])[0] as u32,
-            shift_r,
-            shift_g,
-            shift_b,
-            rest_r,
-            rest_g,
-            rest_b,
-            std_r,
-            std_g,
-            std_b,
-        };
-        let bindings = [("picture", inputs[0]), ("crop", inputs[1]), ("output", outputs[0])];
-        let grid = Grid::linear(self.size * self.size, 64);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {

@@ -2,7 +2,6 @@
 
 use crate::cpu::{self, DetectionRule};
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::boxes::{decode_bound, row};
 use crate::ops::case::{Case, integers, one_way, random, random_boxes, values};
 use crate::ops::count::{expect_count, live};
@@ -10,26 +9,6 @@ use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
-
-shader_params! {
-    struct Params {
-        rois: u32,
-        classes: u32,
-        class_mask: u32,
-        picture_width: f32,
-        picture_height: f32,
-        weight_x: f32,
-        weight_y: f32,
-        weight_width: f32,
-        weight_height: f32,
-    }
-}
-
-static SHADER: Shader = Shader {
-    stem: "decode_detections",
-    source: include_str!("../../wgsl/decode_detections.wgsl"),
-    params: PARAMS,
-};
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
@@ -42,7 +21,6 @@ pub static ENTRY: Entry = Entry {
         Param::optional("weights", "10,10,5,5", Range::Numbers(1e-3, 1e3)),
         Param::optional("class_mask", "4294967295", Range::Whole(0, u32::MAX as u64)),
     ],
-    shader: &SHADER,
     build,
     cases,
 };
@@ -133,42 +111,6 @@ impl Op for DecodeDetections {
             TensorSpec::u32([n]),
             TensorSpec::u32([1]),
         ])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let [rois, classes] = [0, 1].map(|i| recording.dims(inputs[2])[i]);
-        let [weight_x, weight_y, weight_width, weight_height] = self.weights;
-        let params = Params {
-            rois: rois as u32,
-            classes: classes as u32,
-            class_mask: self.class_mask,
-            picture_width: self.width as f32,
-            picture_height: self.height as f32,
-            weight_x,
-            weight_y,
-            weight_width,
-            weight_height,
-        };
-        let bindings = [
-            ("rois", inputs[0]),
-            ("deltas", inputs[1]),
-            ("probabilities", inputs[2]),
-            ("input_count", inputs[3]),
-            ("boxes", outputs[0]),
-            ("scores", outputs[1]),
-            ("classes", outputs[2]),
-        ];
-        let grid = Grid::linear(rois * (classes - 1), 64);
-        recording.dispatch(Dispatch::new(&SHADER, "decode", &params, &bindings, grid));
-        let bindings = [("input_count", inputs[3]), ("output_count", outputs[3])];
-        let grid = Grid::Workgroups([1, 1, 1]);
-        recording.dispatch(Dispatch::new(&SHADER, "count", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {

@@ -2,7 +2,6 @@
 
 use crate::cpu::{self, AnchorGrid};
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::boxes::decode_bound;
 use crate::ops::case::{Case, integers, one_way, random, random_integers, values};
 use crate::ops::count::{expect_count, live};
@@ -10,24 +9,6 @@ use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
-
-shader_params! {
-    struct Params {
-        anchors: u32,
-        height: u32,
-        width: u32,
-        capacity: u32,
-        stride: f32,
-        picture_width: f32,
-        picture_height: f32,
-    }
-}
-
-static SHADER: Shader = Shader {
-    stem: "decode_proposals",
-    source: include_str!("../../wgsl/decode_proposals.wgsl"),
-    params: PARAMS,
-};
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
@@ -40,7 +21,6 @@ pub static ENTRY: Entry = Entry {
         Param::required("width", "320", Range::Whole(1, 65_536)),
         Param::required("height", "320", Range::Whole(1, 65_536)),
     ],
-    shader: &SHADER,
     build,
     cases,
 };
@@ -114,39 +94,6 @@ impl Op for DecodeProposals {
         expect(name, "indices", &TensorSpec::u32([k]), &inputs[2])?;
         expect_count(name, Some(&inputs[3]))?;
         Ok(vec![TensorSpec::f32([k, 4]), TensorSpec::f32([k])])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let [height, width] = [1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
-        let capacity = recording.dims(inputs[1])[0];
-        let cell = Tensor::new([self.anchors.len(), 4], self.anchors.concat())?;
-        let anchors = recording.constant("anchors", cell);
-        let params = Params {
-            anchors: self.anchors.len() as u32,
-            height,
-            width,
-            capacity: capacity as u32,
-            stride: self.stride as f32,
-            picture_width: self.width as f32,
-            picture_height: self.height as f32,
-        };
-        let bindings = [
-            ("deltas", inputs[0]),
-            ("logits", inputs[1]),
-            ("indices", inputs[2]),
-            ("count", inputs[3]),
-            ("anchors", anchors),
-            ("boxes", outputs[0]),
-            ("scores", outputs[1]),
-        ];
-        let grid = Grid::linear(capacity, 64);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {

@@ -2,7 +2,6 @@
 
 use crate::cpu;
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, integers, one_way, random, random_integers, values};
 use crate::ops::count::{expect_count, live};
 use crate::ops::op::{Entry, Op, Tolerance, dims};
@@ -10,27 +9,12 @@ use crate::ops::params::{Params as Named, Settings};
 use crate::shape::{DType, Shape, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
-shader_params! {
-    struct Params {
-        rows: u32,
-        columns: u32,
-        capacity: u32,
-    }
-}
-
-static SHADER: Shader = Shader {
-    stem: "gather_rows",
-    source: include_str!("../../wgsl/gather_rows.wgsl"),
-    params: PARAMS,
-};
-
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "gather_rows",
     takes: "rows [N] or [N, M], indices u32 [K], count u32 [1]",
     gives: "output [K] or [K, M]",
     params: &[],
-    shader: &SHADER,
     build,
     cases,
 };
@@ -43,7 +27,7 @@ pub static ENTRY: Entry = Entry {
 pub struct GatherRows {}
 
 /// Rows and columns of `[N]` or `[N, M]`.
-fn layout(dims: &[usize]) -> Option<(usize, usize)> {
+pub(crate) fn layout(dims: &[usize]) -> Option<(usize, usize)> {
     match dims {
         [n] => Some((*n, 1)),
         [n, m] => Some((*n, *m)),
@@ -80,28 +64,6 @@ impl Op for GatherRows {
         let mut shape = rows.shape.clone();
         shape.0[0] = k;
         Ok(vec![TensorSpec { shape, dtype: rows.dtype }])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let (rows, columns) = layout(recording.dims(inputs[0])).unwrap_or((1, 1));
-        let capacity = recording.dims(inputs[1])[0];
-        let params =
-            Params { rows: rows as u32, columns: columns as u32, capacity: capacity as u32 };
-        let bindings = [
-            ("rows", inputs[0]),
-            ("indices", inputs[1]),
-            ("count", inputs[2]),
-            ("output", outputs[0]),
-        ];
-        // Not indirect: a copy costs less than the dispatch that would save it.
-        let grid = Grid::linear(capacity * columns, 64);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {

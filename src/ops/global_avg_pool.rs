@@ -2,7 +2,6 @@
 
 use crate::cpu;
 use crate::error::Result;
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{PARTIAL_SUMS, SumOrder, magnitude, mean_error};
 use crate::ops::case::{Case, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, map_dims};
@@ -10,27 +9,12 @@ use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::{Tensor, Value};
 
-shader_params! {
-    struct Params {
-        channels: u32,
-        area: u32,
-        first: u32,
-    }
-}
-
-static SHADER: Shader = Shader {
-    stem: "global_avg_pool",
-    source: include_str!("../../wgsl/global_avg_pool.wgsl"),
-    params: PARAMS,
-};
-
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "global_avg_pool",
     takes: "map0 [C0, H, W]; optional: map1, map2",
     gives: "output [C0 + C1 + C2]",
     params: &[Param::by_tensors("maps", Range::Whole(1, MAPS.len() as u64))],
-    shader: &SHADER,
     build,
     cases,
 };
@@ -72,24 +56,6 @@ impl Op for GlobalAvgPool {
             total += channels;
         }
         Ok(vec![TensorSpec::f32([total])])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let mut first = 0;
-        for input in inputs {
-            let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(*input)[i] as u32);
-            let params = Params { channels, area: height * width, first };
-            let bindings = [("input", *input), ("output", outputs[0])];
-            let grid = Grid::linear(channels as usize, 1);
-            recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-            first += channels;
-        }
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {

@@ -2,28 +2,12 @@
 
 use crate::cpu;
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Grid, MAX_WORKGROUPS, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, integers};
 use crate::ops::count::{expect_count, live};
 use crate::ops::op::{Entry, Op, Tolerance};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::{Tensor, Value};
-
-shader_params! {
-    struct Params {
-        capacity: u32,
-        items_per_count: u32,
-        workgroup_size: u32,
-        layers: u32,
-    }
-}
-
-static SHADER: Shader = Shader {
-    stem: "indirect_grid",
-    source: include_str!("../../wgsl/indirect_grid.wgsl"),
-    params: PARAMS,
-};
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
@@ -36,15 +20,17 @@ pub static ENTRY: Entry = Entry {
         Param::optional("workgroup_size", "64", Range::Whole(1, 256)),
         Param::optional("layers", "1", Range::Whole(1, 65_535)),
     ],
-    shader: &SHADER,
     build,
     cases,
 };
 
+/// Largest number of workgroups a dimension may have.
+const MAX_WORKGROUPS: u32 = 65_535;
+
 /// Workgroups that cover `count · items_per_count` invocations.
 ///
-/// Input: `count` u32 `[1]`. Output: `grid` u32 `[3]`, as [`Grid::Indirect`] takes it: x and y
-/// folded as [`Grid::linear`] does past 65 535, `[0, 0, layers]` for a count of zero.
+/// Input: `count` u32 `[1]`. Output: `grid` u32 `[3]`, as an indirect dispatch takes it: x and y
+/// folded past 65 535, `[0, 0, layers]` for a count of zero.
 #[derive(Clone, Copy, Debug)]
 pub struct IndirectGrid {
     /// Largest count; what lies above it is taken for it.
@@ -98,24 +84,6 @@ impl Op for IndirectGrid {
         Ok(vec![TensorSpec::u32([3])])
     }
 
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let params = Params {
-            capacity: self.capacity as u32,
-            items_per_count: self.items_per_count,
-            workgroup_size: self.workgroup_size,
-            layers: self.layers,
-        };
-        let bindings = [("count", inputs[0]), ("grid", outputs[0])];
-        let grid = Grid::Workgroups([1, 1, 1]);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
-    }
-
     fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let count = live(Some(inputs[0]), self.capacity)?;
         let grid =
@@ -125,36 +93,6 @@ impl Op for IndirectGrid {
 
     fn tolerance(&self, _inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
         Ok(vec![Tolerance::Exact])
-    }
-}
-
-/// Records the grid for `count` in a scratch tensor, to be used as [`Grid::Indirect`]: workgroups
-/// of `workgroup` invocations, `items_per_count` invocations a count, counts up to `capacity`.
-///
-/// # Errors
-/// [`Error::Capacity`] where `capacity · items_per_count` is past a u32.
-pub fn record_indirect_grid(
-    recording: &mut Recording,
-    count: TensorId,
-    capacity: usize,
-    items_per_count: u32,
-    workgroup: u32,
-) -> Result<TensorId> {
-    let op = IndirectGrid { capacity, items_per_count, workgroup_size: workgroup, layers: 1 };
-    op.record_scratch(recording, count)
-}
-
-impl IndirectGrid {
-    /// Records the grid for `count` in a scratch tensor.
-    pub(crate) fn record_scratch(
-        &self,
-        recording: &mut Recording,
-        count: TensorId,
-    ) -> Result<TensorId> {
-        self.infer(&[recording.info(count).spec.clone()])?;
-        let grid = recording.scratch("grid", TensorSpec::u32([3]));
-        self.record(recording, &[count], &[grid])?;
-        Ok(grid)
     }
 }
 

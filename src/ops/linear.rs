@@ -2,30 +2,13 @@
 
 use crate::cpu;
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{Joined, SumOrder, magnitude};
 use crate::ops::case::{Case, integers, one_way, one_way_sum, random, values};
-use crate::ops::count::{count_tensor, expect_count, live, row_grid};
-use crate::ops::indirect_grid::IndirectGrid;
+use crate::ops::count::{expect_count, live};
 use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
-
-shader_params! {
-    struct Params {
-        rows: u32,
-        inner: u32,
-        inner_quads: u32,
-        outputs: u32,
-        slices: u32,
-        slice_quads: u32,
-        relu: u32,
-    }
-}
-
-static SHADER: Shader =
-    Shader { stem: "linear", source: include_str!("../../wgsl/linear.wgsl"), params: PARAMS };
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
@@ -33,15 +16,10 @@ pub static ENTRY: Entry = Entry {
     takes: "input [N, K], weight [O, K], bias [O]; optional: count u32 [1]",
     gives: "output [N, O]",
     params: &[Param::optional("relu", "false", Range::Flag)],
-    shader: &SHADER,
     build,
     cases,
 };
 
-/// Rows that one workgroup computes.
-const ROWS: usize = 8;
-/// Invocations of a workgroup, each with four outputs.
-const LANES: usize = 64;
 /// Most slices that a row of inputs is cut into.
 const MAX_SLICES: usize = 16;
 /// Fewest vec4 of inputs in a slice: shorter ones cost more to add than to compute.
@@ -93,74 +71,6 @@ impl Op for Linear {
         Ok(vec![TensorSpec::f32([shape.0[0], outputs])])
     }
 
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let name = recording.info(inputs[1]).name.clone();
-        let weight = recording.constant_value(self.name(), inputs[1])?;
-        let bias = recording.constant_value(self.name(), inputs[2])?;
-        let [outs, inner] = [0, 1].map(|i| weight.spec().shape.0[i]);
-        let rows = recording.dims(inputs[0])[0];
-        let quads = outs.div_ceil(4);
-        let inner_quads = inner.div_ceil(4);
-        let (slices, slice_quads) = slices(inner);
-        let columns = quads.div_ceil(LANES);
-
-        let packed = recording.constant(format!("{name} (packed)"), pack_weight(weight.f32()?));
-        let mut padded_bias = bias.f32()?.data().to_vec();
-        padded_bias.resize(quads * 4, 0.0);
-        let bias = recording
-            .constant(format!("{name} (bias)"), Tensor::new([padded_bias.len()], padded_bias)?);
-        let partials = recording.scratch("partials", TensorSpec::f32([slices, rows, quads * 4]));
-        let given = inputs.get(3).copied();
-        let count = count_tensor(recording, given, rows);
-        let params = Params {
-            rows: rows as u32,
-            inner: inner as u32,
-            inner_quads: inner_quads as u32,
-            outputs: outs as u32,
-            slices: slices as u32,
-            slice_quads: slice_quads as u32,
-            relu: u32::from(self.relu),
-        };
-
-        let mut input = inputs[0];
-        if inner % 4 != 0 {
-            let padded = recording.scratch("padded", TensorSpec::f32([rows, inner_quads * 4]));
-            let bindings = [("count", count), ("unpadded", input), ("padded", padded)];
-            let grid = Grid::linear(rows * inner_quads * 4, LANES as u32);
-            recording.dispatch(Dispatch::new(&SHADER, "pad", &params, &bindings, grid));
-            input = padded;
-        }
-        let layers = (columns * slices) as u32;
-        let tiles = match given {
-            None => match Grid::linear(rows, ROWS as u32) {
-                Grid::Workgroups([x, y, _]) => Grid::Workgroups([x, y, layers]),
-                other => other,
-            },
-            Some(count) => {
-                let grid = IndirectGrid {
-                    capacity: rows,
-                    items_per_count: 1,
-                    workgroup_size: ROWS as u32,
-                    layers,
-                };
-                Grid::Indirect(grid.record_scratch(recording, count)?)
-            }
-        };
-        let bindings =
-            [("count", count), ("input", input), ("weight", packed), ("partials", partials)];
-        recording.dispatch(Dispatch::new(&SHADER, "partial", &params, &bindings, tiles));
-        let grid = row_grid(recording, given, rows, quads, LANES as u32)?;
-        let bindings =
-            [("count", count), ("partials", partials), ("bias", bias), ("output", outputs[0])];
-        recording.dispatch(Dispatch::new(&SHADER, "finish", &params, &bindings, grid));
-        Ok(())
-    }
-
     fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let (input, weight, bias) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);
         let rows = live(inputs.get(3).copied(), input.dims()[0])?;
@@ -194,23 +104,10 @@ impl Op for Linear {
 }
 
 /// Into how many slices a row of `inner` inputs is cut, and how many vec4 each has at most.
-fn slices(inner: usize) -> (usize, usize) {
+pub(crate) fn slices(inner: usize) -> (usize, usize) {
     let quads = inner.div_ceil(4);
     let each = quads.div_ceil(MAX_SLICES).max(MIN_SLICE);
     (quads.div_ceil(each), each)
-}
-
-/// `[O, K]` to `[K, O]`, with zeros up to whole numbers of four.
-fn pack_weight(weight: &Tensor) -> Tensor {
-    let [outs, inner] = [0, 1].map(|i| weight.dims()[i]);
-    let [to_outs, to_inner] = [outs, inner].map(|n| n.next_multiple_of(4));
-    let mut packed = Tensor::zeros([to_inner, to_outs]);
-    for (o, row) in weight.data().chunks_exact(inner).enumerate() {
-        for (k, w) in row.iter().enumerate() {
-            packed.data_mut()[k * to_outs + o] = *w;
-        }
-    }
-    packed
 }
 
 fn build(params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {

@@ -2,31 +2,11 @@
 
 use crate::cpu;
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, map_dims};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
-
-shader_params! {
-    struct Params {
-        channels: u32,
-        in_height: u32,
-        in_width: u32,
-        out_height: u32,
-        out_width: u32,
-        kernel: u32,
-        stride: u32,
-        padding: u32,
-    }
-}
-
-static SHADER: Shader = Shader {
-    stem: "max_pool2d",
-    source: include_str!("../../wgsl/max_pool2d.wgsl"),
-    params: PARAMS,
-};
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
@@ -38,7 +18,6 @@ pub static ENTRY: Entry = Entry {
         Param::optional("stride", "kernel", Range::Whole(1, 4096)),
         Param::optional("padding", "0", Range::Whole(0, 2048)),
     ],
-    shader: &SHADER,
     build,
     cases,
 };
@@ -92,31 +71,6 @@ impl Op for MaxPool2d {
             return Err(Error::tensor(name, "input", expected, &inputs[0]));
         };
         Ok(vec![TensorSpec::f32([channels, height, width])])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let [channels, in_height, in_width] =
-            [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
-        let [out_height, out_width] = [1, 2].map(|i| recording.dims(outputs[0])[i] as u32);
-        let params = Params {
-            channels,
-            in_height,
-            in_width,
-            out_height,
-            out_width,
-            kernel: self.kernel as u32,
-            stride: self.stride as u32,
-            padding: self.padding as u32,
-        };
-        let bindings = [("input", inputs[0]), ("output", outputs[0])];
-        let grid = Grid::linear(recording.info(outputs[0]).spec.shape.elements(), 64);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {

@@ -2,31 +2,13 @@
 
 use crate::cpu::{self, NmsRule};
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::boxes::row;
 use crate::ops::case::{Case, integers, random, random_boxes, random_integers, values};
-use crate::ops::count::{count_tensor, expect_count, live};
+use crate::ops::count::{expect_count, live};
 use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
-use crate::ops::top_k::TopK;
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
-
-shader_params! {
-    struct Params {
-        boxes: u32,
-        words: u32,
-        max_out: u32,
-        iou_threshold: f32,
-        min_score: f32,
-        min_size: f32,
-        has_classes: u32,
-        zero: u32,
-    }
-}
-
-static SHADER: Shader =
-    Shader { stem: "nms", source: include_str!("../../wgsl/nms.wgsl"), params: PARAMS };
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
@@ -40,13 +22,12 @@ pub static ENTRY: Entry = Entry {
         Param::optional("min_size", "0", Range::Number(0.0, f32::MAX)),
         Param::optional("sorted", "false", Range::Flag),
     ],
-    shader: &SHADER,
     build,
     cases,
 };
 
 /// Boxes that the shader's one workgroup can scan.
-const MAX_BOXES: usize = 1024;
+pub(crate) const MAX_BOXES: usize = 1024;
 
 /// Greedy non-maximum suppression by descending score, ties by lower index.
 ///
@@ -92,7 +73,7 @@ impl Default for Nms {
 
 impl Nms {
     /// The optional inputs: classes and count.
-    fn optional<'a, T>(&self, inputs: &'a [T]) -> (Option<&'a T>, Option<&'a T>) {
+    pub(crate) fn optional<'a, T>(&self, inputs: &'a [T]) -> (Option<&'a T>, Option<&'a T>) {
         let classes = self.classes.then(|| &inputs[2]);
         let count = self.count.then(|| &inputs[2 + usize::from(self.classes)]);
         (classes, count)
@@ -139,70 +120,6 @@ impl Op for Nms {
         }
         expect_count(name, count)?;
         Ok(vec![TensorSpec::u32([n.min(self.max_out)]), TensorSpec::u32([1])])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let (boxes, scores) = (inputs[0], inputs[1]);
-        let (classes, count) = self.optional(inputs);
-        let n = recording.dims(boxes)[0];
-        if n > MAX_BOXES {
-            return Err(Error::Capacity {
-                what: "boxes for nms".into(),
-                needed: n as u64,
-                available: MAX_BOXES as u64,
-            });
-        }
-        let (order, count) = if self.sorted {
-            let order = recording.constant("order", Tensor::from_fn([n], |i| i as u32));
-            (order, count_tensor(recording, count.copied(), n))
-        } else {
-            let values = recording.scratch("sorted scores", TensorSpec::f32([n]));
-            let order = recording.scratch("order", TensorSpec::u32([n]));
-            let sorted = recording.scratch("sorted", TensorSpec::u32([1]));
-            let sort: Vec<_> = [Some(scores), count.copied()].into_iter().flatten().collect();
-            let top = TopK { k: n, count: self.count };
-            top.record(recording, &sort, &[values, order, sorted])?;
-            (order, sorted)
-        };
-        let words = n.div_ceil(32);
-        let suppressed = recording.scratch("suppressed", TensorSpec::u32([n, words]));
-        let params = Params {
-            boxes: n as u32,
-            words: words as u32,
-            max_out: self.max_out.min(n) as u32,
-            iou_threshold: self.iou_threshold,
-            min_score: self.min_score,
-            min_size: self.min_size,
-            has_classes: u32::from(self.classes),
-            zero: 0,
-        };
-        let bindings = [
-            ("boxes", boxes),
-            // Any readable buffer serves where there are no classes: it is not read.
-            ("classes", *classes.unwrap_or(&order)),
-            ("order", order),
-            ("input_count", count),
-            ("suppressed", suppressed),
-        ];
-        let grid = Grid::linear(n * words, 64);
-        recording.dispatch(Dispatch::new(&SHADER, "mask", &params, &bindings, grid));
-        let bindings = [
-            ("boxes", boxes),
-            ("scores", scores),
-            ("order", order),
-            ("input_count", count),
-            ("suppressed", suppressed),
-            ("keep", outputs[0]),
-            ("output_count", outputs[1]),
-        ];
-        let grid = Grid::Workgroups([1, 1, 1]);
-        recording.dispatch(Dispatch::new(&SHADER, "scan", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {

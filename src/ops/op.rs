@@ -4,7 +4,6 @@ use std::any::Any;
 use std::fmt::Debug;
 
 use crate::error::{Error, Result};
-use crate::gpu::{Recording, Shader, TensorId};
 use crate::ops::case::Case;
 use crate::ops::params::{Param, Params, Settings};
 use crate::shape::TensorSpec;
@@ -54,17 +53,6 @@ pub trait Op: Any + Debug + Send + Sync {
     /// # Errors
     /// As [`Op::infer`].
     fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>>;
-
-    /// Appends the dispatches that compute `outputs` from `inputs`, whose shapes `infer` accepted.
-    ///
-    /// # Errors
-    /// [`Error::Capacity`] where a shader's fixed capacity is too small.
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()>;
 
     /// Checks values that shader and reference take on trust; `inputs` have shapes that `infer`
     /// accepted.
@@ -186,8 +174,6 @@ pub struct Entry {
     pub gives: &'static str,
     /// Its parameters with their ranges; [`Entry::build`] takes them but those by tensors.
     pub params: &'static [Param],
-    /// Its shader.
-    pub shader: &'static Shader,
     /// Builds the operation for a command line.
     pub build: Build,
     /// The cases that every implementation of it must pass.
@@ -291,10 +277,6 @@ mod tests {
 
         fn shapes(&self, _inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
             Ok(Vec::new())
-        }
-
-        fn record(&self, _: &mut Recording, _: &[TensorId], _: &[TensorId]) -> Result<()> {
-            panic!("recorded")
         }
 
         fn check_values(&self, _inputs: &[&Value]) -> Result<()> {

@@ -2,29 +2,13 @@
 
 use crate::cpu::{self, RoiGrid};
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Recording, Shader, TensorId, shader_params};
 use crate::ops::boxes::row;
 use crate::ops::case::{Case, integers, random, random_boxes, values};
-use crate::ops::count::{count_tensor, expect_count, live, row_grid};
+use crate::ops::count::{expect_count, live};
 use crate::ops::op::{EPS, Entry, Op, Tolerance, dims};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
-
-shader_params! {
-    struct Params {
-        channels: u32,
-        height: u32,
-        width: u32,
-        rois: u32,
-        size: u32,
-        ratio: u32,
-        scale: f32,
-    }
-}
-
-static SHADER: Shader =
-    Shader { stem: "roi_align", source: include_str!("../../wgsl/roi_align.wgsl"), params: PARAMS };
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
@@ -36,7 +20,6 @@ pub static ENTRY: Entry = Entry {
         Param::required("output_size", "7", Range::Whole(1, 256)),
         Param::optional("sampling_ratio", "2", Range::Whole(1, 256)),
     ],
-    shader: &SHADER,
     build,
     cases,
 };
@@ -106,37 +89,6 @@ impl Op for RoiAlign {
         }
         expect_count(name, inputs.get(2))?;
         Ok(vec![TensorSpec::f32([rois, c, self.output_size, self.output_size])])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i]);
-        let rois = recording.dims(inputs[1])[0];
-        let given = inputs.get(2).copied();
-        let count = count_tensor(recording, given, rois);
-        let items = self.output_size * self.output_size * channels.div_ceil(4);
-        let grid = row_grid(recording, given, rois, items, 64)?;
-        let params = Params {
-            channels: channels as u32,
-            height: height as u32,
-            width: width as u32,
-            rois: rois as u32,
-            size: self.output_size as u32,
-            ratio: self.sampling_ratio as u32,
-            scale: self.spatial_scale,
-        };
-        let bindings = [
-            ("features", inputs[0]),
-            ("boxes", inputs[1]),
-            ("count", count),
-            ("output", outputs[0]),
-        ];
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {

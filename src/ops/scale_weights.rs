@@ -2,7 +2,6 @@
 
 use crate::cpu;
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{SumOrder, magnitude};
 use crate::ops::case::{Case, one_way, one_way_sum, random, random_scaled, values};
 use crate::ops::channel_gate::{LANES, f32s};
@@ -11,35 +10,15 @@ use crate::ops::params::{Params as Named, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
-shader_params! {
-    struct Params {
-        inputs: u32,
-        hidden: u32,
-        scales: u32,
-    }
-}
-
-static SHADER: Shader = Shader {
-    stem: "scale_weights",
-    source: include_str!("../../wgsl/scale_weights.wgsl"),
-    params: PARAMS,
-};
-
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "scale_weights",
     takes: "pooled [N], fc1_weight [M, N], fc1_bias [M], fc2_weight [K, M], fc2_bias [K]",
     gives: "output [K]",
     params: &[],
-    shader: &SHADER,
     build,
     cases,
 };
-
-/// Hidden units that fit in the shader's workgroup memory.
-const CAPACITY: usize = 1024;
-/// Invocations of the shader's workgroup, each of which computes a scale.
-const MAX_SCALES: usize = 256;
 
 /// RW-Net's MLP: `softmax(fc2(relu(fc1(pooled))))`.
 ///
@@ -82,32 +61,6 @@ impl Op for ScaleWeights {
         }
         expect(name, "fc2_bias", &TensorSpec::f32([scales]), &inputs[4])?;
         Ok(vec![TensorSpec::f32([scales])])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let [hidden, length] = [0, 1].map(|i| recording.dims(inputs[1])[i]);
-        let scales = recording.dims(outputs[0])[0];
-        let limits = [("hidden units", hidden, CAPACITY), ("scales", scales, MAX_SCALES)];
-        for (what, needed, available) in limits {
-            if needed > available {
-                return Err(Error::Capacity {
-                    what: format!("{}: {what}", self.name()),
-                    needed: needed as u64,
-                    available: available as u64,
-                });
-            }
-        }
-        let params = Params { inputs: length as u32, hidden: hidden as u32, scales: scales as u32 };
-        let mut bindings: Vec<_> = self.inputs().into_iter().zip(inputs.iter().copied()).collect();
-        bindings.push(("output", outputs[0]));
-        let grid = Grid::Workgroups([1, 1, 1]);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {

@@ -2,23 +2,12 @@
 
 use crate::cpu;
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, integers, one_way, random, values};
-use crate::ops::count::{count_tensor, expect_count, live, row_grid};
+use crate::ops::count::{expect_count, live};
 use crate::ops::op::{EPS, Entry, Op, Tolerance, dims};
 use crate::ops::params::{Params as Named, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
-
-shader_params! {
-    struct Params {
-        rows: u32,
-        columns: u32,
-    }
-}
-
-static SHADER: Shader =
-    Shader { stem: "softmax", source: include_str!("../../wgsl/softmax.wgsl"), params: PARAMS };
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
@@ -26,13 +15,9 @@ pub static ENTRY: Entry = Entry {
     takes: "input [N, C]; optional: count u32 [1]",
     gives: "output [N, C]",
     params: &[],
-    shader: &SHADER,
     build,
     cases,
 };
-
-/// Invocations of the workgroup that computes a row.
-const LANES: u32 = 64;
 
 /// Softmax over the last dimension, with the row's maximum subtracted first.
 ///
@@ -71,22 +56,6 @@ impl Op for Softmax {
         }
         expect_count(self.name(), inputs.get(1))?;
         Ok(vec![inputs[0].clone()])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let [rows, columns] = [0, 1].map(|i| recording.dims(inputs[0])[i]);
-        let given = inputs.get(1).copied();
-        let count = count_tensor(recording, given, rows);
-        let grid = row_grid(recording, given, rows, LANES as usize, LANES)?;
-        let bindings = [("input", inputs[0]), ("count", count), ("output", outputs[0])];
-        let params = Params { rows: rows as u32, columns: columns as u32 };
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {

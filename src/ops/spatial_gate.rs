@@ -2,7 +2,6 @@
 
 use crate::cpu::{self, ConvShape};
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{SumOrder, magnitude, sigmoid_error};
 use crate::ops::case::{Case, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, expect, map_dims};
@@ -10,32 +9,15 @@ use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::{Tensor, Value};
 
-shader_params! {
-    struct Params {
-        height: u32,
-        width: u32,
-    }
-}
-
-static SHADER: Shader = Shader {
-    stem: "spatial_gate",
-    source: include_str!("../../wgsl/spatial_gate.wgsl"),
-    params: PARAMS,
-};
-
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "spatial_gate",
     takes: "pooled [2, H, W], weight [1, 2, 7, 7], bias [1]",
     gives: "output [1, H, W]",
     params: &[],
-    shader: &SHADER,
     build,
     cases,
 };
-
-/// Pixels of a row that one invocation computes.
-const PIXELS: usize = 4;
 
 /// CBAM's spatial gate: the logistic function of a 7×7 convolution with padding 3.
 ///
@@ -70,25 +52,6 @@ impl Op for SpatialGate {
         expect(name, "weight", &TensorSpec::f32([1, 2, 7, 7]), &inputs[1])?;
         expect(name, "bias", &TensorSpec::f32([1]), &inputs[2])?;
         Ok(vec![TensorSpec::f32([1, height, width])])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let [height, width] = [1, 2].map(|i| recording.dims(inputs[0])[i]);
-        let params = Params { height: height as u32, width: width as u32 };
-        let bindings = [
-            ("pooled", inputs[0]),
-            ("weight", inputs[1]),
-            ("bias", inputs[2]),
-            ("output", outputs[0]),
-        ];
-        let grid = Grid::linear(height * width.div_ceil(PIXELS), 64);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {

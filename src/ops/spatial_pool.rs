@@ -2,7 +2,6 @@
 
 use crate::cpu;
 use crate::error::Result;
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{SumOrder, magnitude, mean_error, sum_error};
 use crate::ops::case::{Case, GATED_MAPS, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, expect, map_dims};
@@ -10,32 +9,16 @@ use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
-shader_params! {
-    struct Params {
-        channels: u32,
-        area: u32,
-    }
-}
-
-static SHADER: Shader = Shader {
-    stem: "spatial_pool",
-    source: include_str!("../../wgsl/spatial_pool.wgsl"),
-    params: PARAMS,
-};
-
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "spatial_pool",
     takes: "input [C, H, W], channel_gate [C]",
     gives: "output [2, H, W]",
     params: &[],
-    shader: &SHADER,
     build,
     cases,
 };
 
-/// Pixels that one workgroup computes.
-const PIXELS: usize = 32;
 /// Invocations that share a pixel's channels.
 const SLICES: usize = 8;
 
@@ -67,20 +50,6 @@ impl Op for SpatialPool {
         let [channels, height, width] = map_dims(self.name(), "input", &inputs[0])?;
         expect(self.name(), "channel_gate", &TensorSpec::f32([channels]), &inputs[1])?;
         Ok(vec![TensorSpec::f32([2, height, width])])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
-        let params = Params { channels, area: height * width };
-        let bindings = [("input", inputs[0]), ("channel_gate", inputs[1]), ("output", outputs[0])];
-        let grid = Grid::linear(params.area as usize, PIXELS as u32);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {

@@ -2,25 +2,12 @@
 
 use crate::cpu;
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::case::{Case, integers, one_way, random, random_integers, values};
-use crate::ops::count::{count_tensor, expect_count, live};
+use crate::ops::count::{expect_count, live};
 use crate::ops::op::{Entry, Op, Tolerance};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
-
-shader_params! {
-    struct Params {
-        channels: u32,
-        area: u32,
-        k: u32,
-        sort_size: u32,
-    }
-}
-
-static SHADER: Shader =
-    Shader { stem: "top_k", source: include_str!("../../wgsl/top_k.wgsl"), params: PARAMS };
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
@@ -28,15 +15,9 @@ pub static ENTRY: Entry = Entry {
     takes: "scores [N] or [C, H, W]; optional: count u32 [1]",
     gives: "values [K], indices u32 [K], count u32 [1]",
     params: &[Param::required("k", "1000", Range::Whole(1, u32::MAX as u64))],
-    shader: &SHADER,
     build,
     cases,
 };
-
-/// Pairs that the shader sorts in workgroup memory.
-const MAX_K: usize = 1024;
-/// Scores whose index fits in the shader's 24 bits.
-const MAX_SCORES: usize = 1 << 24;
 
 /// The `k` highest scores by descending score, ties by lower index; −0 equals +0, NaN is lowest.
 ///
@@ -53,7 +34,7 @@ pub struct TopK {
 }
 
 /// Channels and positions of scores of either rank.
-fn layout(dims: &[usize]) -> Option<(usize, usize)> {
+pub(crate) fn layout(dims: &[usize]) -> Option<(usize, usize)> {
     match dims {
         [n] => Some((1, *n)),
         [c, h, w] => Some((*c, h * w)),
@@ -91,44 +72,6 @@ impl Op for TopK {
         expect_count(self.name(), inputs.get(1))?;
         let k = self.k.min(channels * area);
         Ok(vec![TensorSpec::f32([k]), TensorSpec::u32([k]), TensorSpec::u32([1])])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let n = recording.info(inputs[0]).spec.shape.elements();
-        let (channels, area) = layout(recording.dims(inputs[0])).unwrap_or((1, n));
-        let k = self.k.min(n);
-        let limits = [("scores to sort (`k` of top_k)", k, MAX_K), ("scores", n, MAX_SCORES)];
-        for (what, needed, available) in limits {
-            if needed > available {
-                return Err(Error::Capacity {
-                    what: what.into(),
-                    needed: needed as u64,
-                    available: available as u64,
-                });
-            }
-        }
-        let count = count_tensor(recording, inputs.get(1).copied(), n);
-        let params = Params {
-            channels: channels as u32,
-            area: area as u32,
-            k: k as u32,
-            sort_size: k.next_power_of_two() as u32,
-        };
-        let bindings = [
-            ("scores", inputs[0]),
-            ("input_count", count),
-            ("values", outputs[0]),
-            ("indices", outputs[1]),
-            ("output_count", outputs[2]),
-        ];
-        let grid = Grid::Workgroups([1, 1, 1]);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {

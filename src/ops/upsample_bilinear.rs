@@ -2,29 +2,12 @@
 
 use crate::cpu;
 use crate::error::{Error, Result};
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{magnitude, sum_error};
 use crate::ops::case::{Case, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, map_dims};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
-
-shader_params! {
-    struct Params {
-        channels: u32,
-        in_height: u32,
-        in_width: u32,
-        out_height: u32,
-        out_width: u32,
-    }
-}
-
-static SHADER: Shader = Shader {
-    stem: "upsample_bilinear",
-    source: include_str!("../../wgsl/upsample_bilinear.wgsl"),
-    params: PARAMS,
-};
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
@@ -35,7 +18,6 @@ pub static ENTRY: Entry = Entry {
         Param::required("out_height", "40", Range::Whole(1, MAX_EDGE as u64)),
         Param::required("out_width", "40", Range::Whole(1, MAX_EDGE as u64)),
     ],
-    shader: &SHADER,
     build,
     cases,
 };
@@ -80,27 +62,6 @@ impl Op for UpsampleBilinear {
             return Err(Error::tensor(name, "input", expected, &inputs[0]));
         }
         Ok(vec![TensorSpec::f32([channels, self.out_height, self.out_width])])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let [channels, in_height, in_width] =
-            [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
-        let params = Params {
-            channels,
-            in_height,
-            in_width,
-            out_height: self.out_height as u32,
-            out_width: self.out_width as u32,
-        };
-        let bindings = [("input", inputs[0]), ("output", outputs[0])];
-        let grid = Grid::linear(recording.info(outputs[0]).spec.shape.elements(), 64);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {

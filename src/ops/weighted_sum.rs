@@ -2,7 +2,6 @@
 
 use crate::cpu;
 use crate::error::Result;
-use crate::gpu::{Dispatch, Grid, Recording, Shader, TensorId, shader_params};
 use crate::ops::bounds::{SumOrder, magnitude};
 use crate::ops::case::{Case, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, expect, map_dims};
@@ -10,33 +9,19 @@ use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
-shader_params! {
-    struct Params {
-        elements: u32,
-        maps: u32,
-    }
-}
-
-static SHADER: Shader = Shader {
-    stem: "weighted_sum",
-    source: include_str!("../../wgsl/weighted_sum.wgsl"),
-    params: PARAMS,
-};
-
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "weighted_sum",
     takes: "weights [K], map0 [C, H, W]; optional: map1 to map4",
     gives: "output [C, H, W]",
     params: &[Param::by_tensors("maps", Range::Whole(1, MAPS.len() as u64))],
-    shader: &SHADER,
     build,
     cases,
 };
 
 /// The maps by name. With the weights and the output they take seven of the eight storage buffers
 /// that a stage has.
-const MAPS: [&str; 5] = ["map0", "map1", "map2", "map3", "map4"];
+pub(crate) const MAPS: [&str; 5] = ["map0", "map1", "map2", "map3", "map4"];
 
 /// RW-Net's fused map: `Σ weights[k] · mapk`.
 ///
@@ -73,25 +58,6 @@ impl Op for WeightedSum {
             expect(name, map, &inputs[1], spec)?;
         }
         Ok(vec![inputs[1].clone()])
-    }
-
-    fn record(
-        &self,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let elements = recording.info(outputs[0]).spec.shape.elements();
-        let params = Params { elements: elements as u32, maps: self.maps as u32 };
-        let mut bindings = vec![("weights", inputs[0])];
-        for (k, name) in MAPS.into_iter().enumerate() {
-            // Any readable buffer serves behind the last map: it is not read.
-            bindings.push((name, *inputs.get(k + 1).unwrap_or(&inputs[1])));
-        }
-        bindings.push(("output", outputs[0]));
-        let grid = Grid::linear(elements, 64);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
     }
 
     fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {

@@ -26,8 +26,8 @@ use std::path::Path;
 use image::codecs::bmp::BmpDecoder;
 use image::{DynamicImage, ImageDecoder, ImageError};
 
-use crate::detector::MAX_PIXELS;
 use crate::files;
+use crate::model::MAX_PIXELS;
 pub use jpeg::MAX_SCANS;
 
 /// Most bytes of a picture as it is stored: [`MAX_PIXELS`] of four channels of 16 bits, and 64 MiB.

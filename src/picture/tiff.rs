@@ -11,7 +11,7 @@ use tiff::tags::{
 use tiff::{ColorType, TiffError};
 
 use super::{Error, Format, MAX_ENCODED, check_size};
-use crate::detector::MAX_PIXELS;
+use crate::model::MAX_PIXELS;
 
 pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, Error> {
     let mut decoder = Decoder::new(Cursor::new(bytes)).map_err(unreadable)?;

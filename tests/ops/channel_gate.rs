@@ -39,6 +39,6 @@ fn refuses_what_does_not_fit() {
 
 #[test]
 fn too_many_hidden_units_name_the_capacity() {
-    let message = recording_error(&ChannelGate, &specs(3, 1025));
+    let message = recording_error(ChannelGate, &specs(3, 1025));
     assert!(message.contains("needs 1025, but only 1024"), "{message}");
 }

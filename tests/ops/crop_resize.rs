@@ -1,6 +1,6 @@
 use crate::support::{check_op, gpu, refusal};
+use smr_gpu::check::run_op;
 use smr_gpu::cpu::Crop;
-use smr_gpu::ops::case::run_op;
 use smr_gpu::ops::{CropResize, Op, Params, find};
 use smr_gpu::shape::TensorSpec;
 use smr_gpu::tensor::Tensor;
@@ -52,7 +52,8 @@ fn refuses_crops_outside_the_picture() {
     let crop = Tensor::from_fn([5], |i| [10, 8, 4, 1, 7][i]).into();
     let by_reference = OP.reference(&[&picture, &crop]).expect_err("an error").to_string();
     assert!(by_reference.contains("side 7 at (4, 1)"), "{by_reference}");
-    let on_device = run_op(gpu(), &OP, &[picture, crop]).expect_err("an error").to_string();
+    let on_device: std::sync::Arc<dyn Op> = std::sync::Arc::new(OP);
+    let on_device = run_op(gpu(), &on_device, &[picture, crop]).expect_err("an error").to_string();
     assert_eq!(on_device, by_reference);
 }
 

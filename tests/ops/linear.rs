@@ -1,7 +1,6 @@
-use crate::support::check_op;
-use smr_gpu::gpu::{Recording, Role};
+use crate::support::{check_op, recording_error};
 use smr_gpu::ops::{Linear, Op};
-use smr_gpu::shape::{Extent, TensorSpec};
+use smr_gpu::shape::TensorSpec;
 
 #[test]
 fn shader_matches_reference_and_hand() {
@@ -26,11 +25,6 @@ fn refuses_what_does_not_fit() {
     let message = text(specs(&[4, 2, 3], 2, 3));
     assert!(message.contains("`count`") && message.contains("u32[1]"), "{message}");
 
-    let mut recording = Recording::default();
-    let inputs =
-        specs(&[4, 6], 2, 1).map(|s| recording.tensor("in", s, Role::Input(Extent::Exact)));
-    let output = recording.scratch("out", TensorSpec::f32([4, 2]));
-    let message =
-        op.record(&mut recording, &inputs, &[output]).expect_err("no weights").to_string();
+    let message = recording_error(op, &specs(&[4, 6], 2, 1));
     assert!(message.contains("known when recording") && message.contains("an input"), "{message}");
 }

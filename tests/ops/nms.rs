@@ -1,5 +1,4 @@
-use crate::support::check_op;
-use smr_gpu::gpu::Recording;
+use crate::support::{check_op, recording_error};
 use smr_gpu::ops::{Nms, Op};
 use smr_gpu::shape::TensorSpec;
 
@@ -28,11 +27,6 @@ fn refuses_what_does_not_fit() {
     let message = text(Nms { max_out: 0, ..op }, &[boxes.clone(), scores.clone()]);
     assert!(message.contains("max_out"), "{message}");
 
-    let mut recording = Recording::default();
-    let specs = [TensorSpec::f32([1025, 4]), TensorSpec::f32([1025])];
-    let inputs = specs.clone().map(|s| recording.scratch("in", s));
-    let outputs: Vec<_> =
-        op.infer(&specs).expect("specs").into_iter().map(|s| recording.scratch("out", s)).collect();
-    let message = op.record(&mut recording, &inputs, &outputs).expect_err("too many").to_string();
+    let message = recording_error(op, &[TensorSpec::f32([1025, 4]), TensorSpec::f32([1025])]);
     assert!(message.contains("needs 1025, but only 1024"), "{message}");
 }

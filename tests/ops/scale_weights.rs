@@ -39,8 +39,8 @@ fn refuses_what_does_not_fit() {
 
 #[test]
 fn too_many_units_name_the_capacity() {
-    let message = recording_error(&ScaleWeights, &specs(3, 1025, 3));
+    let message = recording_error(ScaleWeights, &specs(3, 1025, 3));
     assert!(message.contains("hidden units: needs 1025, but only 1024"), "{message}");
-    let message = recording_error(&ScaleWeights, &specs(3, 5, 257));
+    let message = recording_error(ScaleWeights, &specs(3, 5, 257));
     assert!(message.contains("scales: needs 257, but only 256"), "{message}");
 }

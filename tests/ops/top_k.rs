@@ -1,5 +1,4 @@
-use crate::support::check_op;
-use smr_gpu::gpu::Recording;
+use crate::support::{check_op, record};
 use smr_gpu::ops::{Op, TopK};
 use smr_gpu::shape::TensorSpec;
 
@@ -24,16 +23,7 @@ fn refuses_what_does_not_fit() {
 
     // 1025 of 1025 is one too many, but of 1024 scores there are only 1024 to sort.
     for (n, fits) in [(1024, true), (1025, false)] {
-        let mut recording = Recording::default();
-        let specs = [TensorSpec::f32([n]), count.clone()];
-        let inputs = specs.clone().map(|s| recording.scratch("in", s));
-        let outputs: Vec<_> = op
-            .infer(&specs)
-            .expect("specs")
-            .into_iter()
-            .map(|s| recording.scratch("out", s))
-            .collect();
-        let result = op.record(&mut recording, &inputs, &outputs);
+        let result = record(op, &[TensorSpec::f32([n]), count.clone()]);
         match result {
             Ok(()) => assert!(fits, "{n}"),
             Err(e) => assert!(!fits && e.to_string().contains("needs 1025, but only 1024"), "{e}"),

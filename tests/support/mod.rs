@@ -2,9 +2,13 @@
 
 use std::sync::{Arc, OnceLock};
 
-use smr_gpu::gpu::{Gpu, GpuOptions, Recording, Role};
-use smr_gpu::ops::{self, Op, check};
-use smr_gpu::shape::TensorSpec;
+use smr_gpu::check::check;
+use smr_gpu::gpu::{Gpu, GpuOptions};
+use smr_gpu::graph::Graph;
+use smr_gpu::kernels::Caps;
+use smr_gpu::lower::{Choice, Request, lower};
+use smr_gpu::ops::{self, Op};
+use smr_gpu::shape::{Extent, TensorSpec};
 
 /// The device that all tests of a process share; no adapter is a failure, never a skip.
 pub fn gpu() -> &'static Arc<Gpu> {
@@ -37,14 +41,20 @@ pub fn refusal(op: &dyn Op, inputs: &[TensorSpec]) -> String {
     op.infer(inputs).expect_err("an error").to_string()
 }
 
+/// What comes of recording an operation on inputs that are known for each run alone.
+#[allow(dead_code, reason = "not every test crate runs operations")]
+pub fn record(op: impl Op + 'static, inputs: &[TensorSpec]) -> smr_gpu::Result<()> {
+    let mut graph = Graph::default();
+    let ids = inputs.iter().map(|s| graph.input("tensor", s.clone(), Extent::Exact));
+    let ids: Vec<_> = ids.collect();
+    let outputs = graph.apply("op", op, &ids).expect("inputs that fit");
+    outputs.iter().for_each(|id| graph.mark_output(*id));
+    let (caps, choice) = (Caps::default(), Choice::default());
+    lower(&graph, &Request { keep: &[], batch: 1, caps: &caps, choice: &choice }).map(|_| ())
+}
+
 /// What an operation says when it is recorded with inputs past its shader's capacity.
 #[allow(dead_code, reason = "not every test crate runs operations")]
-pub fn recording_error(op: &dyn Op, inputs: &[TensorSpec]) -> String {
-    let mut recording = Recording::default();
-    let outputs = op.infer(inputs).expect("inputs that fit");
-    let mut add = |specs: &[TensorSpec]| -> Vec<_> {
-        specs.iter().map(|s| recording.tensor("tensor", s.clone(), Role::Transient)).collect()
-    };
-    let (inputs, outputs) = (add(inputs), add(&outputs));
-    op.record(&mut recording, &inputs, &outputs).expect_err("an error").to_string()
+pub fn recording_error(op: impl Op + 'static, inputs: &[TensorSpec]) -> String {
+    record(op, inputs).expect_err("an error").to_string()
 }

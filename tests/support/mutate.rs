@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use rand::{RngExt, SeedableRng};
-use smr_gpu::gpu::{Replacement, reflect, reflect_replaced};
+use smr_gpu::kernels::{self, Caps};
 use smr_gpu::ops::{Entry, OPS};
+use smr_gpu::shader::{Replacement, Shader, Variant, reflect, reflect_replaced};
 
 /// A shader file with one fault.
 #[derive(Clone, Debug)]
@@ -26,12 +27,13 @@ impl Mutant {
     }
 
     /// Whether naga takes it in every shader that has the file, with the same bindings and no larger
-    /// workgroups: no plan would be made of others.
+    /// workgroups: no program would be made of others.
     pub fn is_valid(&self) -> bool {
         let replacement = self.replacement();
-        users(&self.file).iter().all(|op| {
-            let own = reflect(op.shader).expect("a shader").entries;
-            let Ok(mutated) = reflect_replaced(op.shader, &replacement) else { return false };
+        shaders(&self.file).iter().all(|(shader, variant)| {
+            let own = reflect(shader, variant).expect("a shader").entries;
+            let mutated = reflect_replaced(shader, variant, &replacement);
+            let Ok(mutated) = mutated else { return false };
             own.iter().zip(&mutated.entries).all(|(a, b)| {
                 a.bindings == b.bindings && b.workgroup_size.iter().product::<u32>() <= 256
             })
@@ -50,13 +52,17 @@ impl std::fmt::Display for Mutant {
 pub fn sources() -> Vec<(String, String)> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("wgsl");
     let mut found = Vec::new();
-    for (folder, prefix) in [(root.clone(), ""), (root.join("shared"), "shared/")] {
+    let mut folders = vec![root.clone()];
+    while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(folder).expect("the shaders") {
             let path = entry.expect("a readable folder").path();
-            if path.extension().is_some_and(|e| e == "wgsl") {
-                let stem = path.file_stem().expect("a stem").to_string_lossy();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|e| e == "wgsl") {
+                let stem = path.with_extension("");
+                let stem = stem.strip_prefix(&root).expect("a file below the root");
                 let text = std::fs::read_to_string(&path).expect("a shader");
-                found.push((format!("{prefix}{stem}"), text));
+                found.push((stem.to_string_lossy().replace('\\', "/"), text));
             }
         }
     }
@@ -64,14 +70,33 @@ pub fn sources() -> Vec<(String, String)> {
     found
 }
 
-/// The operations whose shader has `file`.
+/// Whether a shader has `file`.
+fn has(shader: &Shader, file: &str) -> bool {
+    match file.strip_prefix("shared/") {
+        Some(name) => shader.source.lines().any(|l| l == format!("// include: {name}")),
+        None => shader.stem == file,
+    }
+}
+
+/// The shaders that have `file`, as an adapter reads them.
+fn shaders(file: &str) -> Vec<(&'static Shader, Variant)> {
+    let all = kernels::shaders(&Caps { subgroup: Some(8), ..Caps::default() });
+    all.into_iter().filter(|(shader, _)| has(shader, file)).collect()
+}
+
+/// The operations of which a kernel has `file`.
 pub fn users(file: &str) -> Vec<&'static Entry> {
-    let include = file.strip_prefix("shared/").map(|name| format!("// include: {name}"));
-    let has = |op: &&Entry| match &include {
-        Some(line) => op.shader.source.lines().any(|l| l == line),
-        None => op.shader.stem == file,
+    let caps = Caps { subgroup: Some(8), ..Caps::default() };
+    let has = |op: &&Entry| {
+        let kernels = kernels::named(op.name).iter().flat_map(|k| k.shaders(&caps));
+        kernels.into_iter().any(|(shader, _)| has(shader, file))
     };
-    OPS.iter().copied().filter(has).collect()
+    // What converts layouts belongs to all that need it; a convolution does.
+    let found: Vec<_> = OPS.iter().copied().filter(has).collect();
+    match found.is_empty() {
+        true => OPS.iter().copied().filter(|op| op.name == "conv2d").collect(),
+        false => found,
+    }
 }
 
 /// What takes another's place. Operators have spaces around them, template brackets none.

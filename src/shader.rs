@@ -16,7 +16,7 @@ pub struct ParamLayout {
 /// A shader file under `wgsl/`.
 #[derive(Debug)]
 pub struct Shader {
-    /// Stem of the file, which is the operation's name.
+    /// The file's name without its ending: `conv2d/direct`.
     pub stem: &'static str,
     /// Text of the file.
     pub source: &'static str,
@@ -24,13 +24,47 @@ pub struct Shader {
     pub params: ParamLayout,
 }
 
+/// How a shader's text is to be read: which lines, and with which constants.
+///
+/// Lines between `#if NAME` and `#else` or `#endif` count where NAME is among the flags (`#if !NAME`:
+/// where it is not). Each constant is declared as a `u32` behind the text.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Variant {
+    /// Names that hold.
+    pub flags: Vec<&'static str>,
+    /// Names with their values.
+    pub constants: Vec<(&'static str, u32)>,
+}
+
+impl Variant {
+    /// A variant with these constants.
+    pub fn of(constants: &[(&'static str, u32)]) -> Self {
+        Self { flags: Vec::new(), constants: constants.to_vec() }
+    }
+
+    /// The same with a flag, if it `holds`.
+    pub fn with(mut self, flag: &'static str, holds: bool) -> Self {
+        self.flags.extend(holds.then_some(flag));
+        self
+    }
+}
+
+impl std::fmt::Display for Variant {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let flags = self.flags.iter().map(|flag| (*flag).to_owned());
+        let constants = self.constants.iter().map(|(name, value)| format!("{name}={value}"));
+        f.write_str(&flags.chain(constants).collect::<Vec<_>>().join(" "))
+    }
+}
+
 /// Files under `wgsl/shared/`, which a shader takes in with a line `// include: NAME`.
 const SHARED: &[(&str, &str)] = &[
-    ("index", include_str!("../../wgsl/shared/index.wgsl")),
-    ("boxes", include_str!("../../wgsl/shared/boxes.wgsl")),
-    ("relu", include_str!("../../wgsl/shared/relu.wgsl")),
-    ("reduce", include_str!("../../wgsl/shared/reduce.wgsl")),
-    ("sigmoid", include_str!("../../wgsl/shared/sigmoid.wgsl")),
+    ("index", include_str!("../wgsl/shared/index.wgsl")),
+    ("quads", include_str!("../wgsl/shared/quads.wgsl")),
+    ("boxes", include_str!("../wgsl/shared/boxes.wgsl")),
+    ("relu", include_str!("../wgsl/shared/relu.wgsl")),
+    ("reduce", include_str!("../wgsl/shared/reduce.wgsl")),
+    ("sigmoid", include_str!("../wgsl/shared/sigmoid.wgsl")),
 ];
 
 /// Another text for one file under `wgsl/`.
@@ -57,7 +91,7 @@ macro_rules! shader_params {
         #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
         struct Params { $($field: $type),+ }
 
-        const PARAMS: $crate::gpu::ParamLayout = $crate::gpu::ParamLayout {
+        const PARAMS: $crate::shader::ParamLayout = $crate::shader::ParamLayout {
             size: std::mem::size_of::<Params>(),
             fields: &[$((stringify!($field), std::mem::offset_of!(Params, $field))),+],
         };
@@ -87,6 +121,8 @@ pub enum BindingKind {
     Read,
     /// Storage that is written.
     ReadWrite,
+    /// A storage texture of rgba32float that is only read.
+    Texture,
 }
 
 /// naga's view of a shader.
@@ -107,23 +143,68 @@ struct Expanded {
     files: Vec<(String, usize)>,
 }
 
+/// Keeps the lines of `text` whose conditions hold, and leaves the others empty, so that lines keep
+/// their numbers.
+///
+/// # Errors
+/// The number of a line that does not fit, with what is wrong about it.
+fn select(text: &str, flags: &[&str]) -> std::result::Result<String, (u32, String)> {
+    let mut kept = String::with_capacity(text.len());
+    // For each open condition, whether its lines count.
+    let mut open: Vec<bool> = Vec::new();
+    for (number, line) in (1..).zip(text.lines()) {
+        let wrong = |what: &str| (number, format!("`{}` {what}", line.trim()));
+        match line.trim().split_once(' ').unwrap_or((line.trim(), "")) {
+            ("#if", flag) => open.push(match flag.trim().strip_prefix('!') {
+                Some(flag) => !flags.contains(&flag),
+                None => flags.contains(&flag.trim()),
+            }),
+            ("#else", _) => match open.last_mut() {
+                Some(holds) => *holds = !*holds,
+                None => return Err(wrong("without `#if`")),
+            },
+            ("#endif", _) => drop(open.pop().ok_or_else(|| wrong("without `#if`"))?),
+            (word, _) if word.starts_with('#') => return Err(wrong("is no condition")),
+            _ if open.iter().all(|holds| *holds) => kept.push_str(line),
+            _ => {}
+        }
+        kept.push('\n');
+    }
+    match open.is_empty() {
+        true => Ok(kept),
+        false => Err((text.lines().count() as u32, "`#if` without `#endif`".into())),
+    }
+}
+
 impl Expanded {
     /// # Errors
-    /// [`Error::Shader`] for an include that does not exist.
-    fn new(shader: &Shader, replacement: Option<&Replacement>) -> Result<Self> {
+    /// [`Error::Shader`] for an include that does not exist, or a condition that does not end.
+    fn new(shader: &Shader, variant: &Variant, replacement: Option<&Replacement>) -> Result<Self> {
         let own = Replacement::text(replacement, shader.stem, shader.source);
-        let mut text = own.to_owned();
-        let mut files = vec![(format!("{}.wgsl", shader.stem), 0)];
-        for (line, content) in own.lines().enumerate() {
+        let mut whole = Self { text: String::new(), files: Vec::new() };
+        whole.push(&format!("{}.wgsl", shader.stem), own, variant)?;
+        for (line, content) in whole.text.clone().lines().enumerate() {
             let Some(name) = content.strip_prefix("// include: ") else { continue };
             let Some((name, shared)) = SHARED.iter().find(|(n, _)| *n == name.trim()) else {
                 return Err(shader.error(line as u32 + 1, format!("no shared file `{name}`")));
             };
-            text.push('\n');
-            files.push((format!("shared/{name}.wgsl"), text.lines().count()));
-            text.push_str(Replacement::text(replacement, &format!("shared/{name}"), shared));
+            let file = format!("shared/{name}");
+            let text = Replacement::text(replacement, &file, shared);
+            whole.text.push('\n');
+            whole.push(&format!("{file}.wgsl"), text, variant)?;
         }
-        Ok(Self { text, files })
+        for (name, value) in &variant.constants {
+            whole.text.push_str(&format!("const {name}: u32 = {value}u;\n"));
+        }
+        Ok(whole)
+    }
+
+    fn push(&mut self, file: &str, text: &str, variant: &Variant) -> Result<()> {
+        self.files.push((file.into(), self.text.lines().count()));
+        let text = select(text, &variant.flags);
+        let wrong = |(line, message)| Error::Shader { file: file.into(), line, message };
+        self.text.push_str(&text.map_err(wrong)?);
+        Ok(())
     }
 
     /// An error at a line of the whole text, under the file and the line that a reader would open.
@@ -146,23 +227,28 @@ impl Shader {
 /// # Errors
 /// [`Error::Shader`] with file and line if it does not compile, if it binds outside group 0, or if
 /// the two layouts of `Params` differ.
-pub fn reflect(shader: &Shader) -> Result<Reflection> {
-    reflect_with(shader, None)
+pub fn reflect(shader: &Shader, variant: &Variant) -> Result<Reflection> {
+    reflect_with(shader, variant, None)
 }
 
 /// [`reflect`] with another text for one of the shader's files.
 ///
 /// # Errors
 /// As [`reflect`].
-pub fn reflect_replaced(shader: &Shader, replacement: &Replacement) -> Result<Reflection> {
-    reflect_with(shader, Some(replacement))
+pub fn reflect_replaced(
+    shader: &Shader,
+    variant: &Variant,
+    replacement: &Replacement,
+) -> Result<Reflection> {
+    reflect_with(shader, variant, Some(replacement))
 }
 
-pub(super) fn reflect_with(
+pub(crate) fn reflect_with(
     shader: &Shader,
+    variant: &Variant,
     replacement: Option<&Replacement>,
 ) -> Result<Reflection> {
-    let expanded = Expanded::new(shader, replacement)?;
+    let expanded = Expanded::new(shader, variant, replacement)?;
     let text = &expanded.text;
     let module = naga::front::wgsl::parse_str(text)
         .map_err(|e| expanded.error(e.location(text), e.emit_to_string(text)))?;
@@ -210,6 +296,7 @@ pub(super) fn reflect_with(
                 {
                     BindingKind::ReadWrite
                 }
+                naga::AddressSpace::Handle => BindingKind::Texture,
                 _ => BindingKind::Read,
             };
             bindings.push((name, binding.binding, kind));
@@ -246,7 +333,7 @@ mod tests {
     const NONE: ParamLayout = ParamLayout { size: 0, fields: &[] };
 
     fn place(source: &'static str) -> (String, u32) {
-        match reflect(&Shader { stem: "own", source, params: NONE }) {
+        match reflect(&Shader { stem: "own", source, params: NONE }, &Variant::default()) {
             Err(Error::Shader { file, line, .. }) => (file, line),
             other => panic!("{other:?}"),
         }
@@ -262,8 +349,8 @@ mod tests {
     #[test]
     fn a_line_of_the_expanded_text_is_a_line_of_one_file() {
         let source = "// include: relu\n// include: index\n";
-        let text =
-            Expanded::new(&Shader { stem: "own", source, params: NONE }, None).expect("includes");
+        let shader = Shader { stem: "own", source, params: NONE };
+        let text = Expanded::new(&shader, &Variant::default(), None).expect("includes");
         for (number, content) in text.text.lines().enumerate() {
             let at = naga::SourceLocation {
                 line_number: number as u32 + 1,
@@ -285,5 +372,32 @@ mod tests {
                 "{file}:{line}"
             );
         }
+    }
+
+    #[test]
+    fn conditions_choose_lines_and_keep_their_numbers() {
+        let text = "a\n#if X\nb\n#if !Y\nc\n#endif\n#else\nd\n#endif\n";
+        let lines = |flags: &[&str]| -> Vec<(usize, String)> {
+            let kept = select(text, flags).expect("conditions that end");
+            let lines = kept.lines().map(str::to_owned).enumerate();
+            lines.filter(|(_, line)| !line.is_empty()).collect()
+        };
+        let at = |lines: &[(usize, &str)]| -> Vec<(usize, String)> {
+            lines.iter().map(|(n, l)| (*n, (*l).to_owned())).collect()
+        };
+        assert_eq!(lines(&[]), at(&[(0, "a"), (7, "d")]));
+        assert_eq!(lines(&["X"]), at(&[(0, "a"), (2, "b"), (4, "c")]));
+        assert_eq!(lines(&["X", "Y"]), at(&[(0, "a"), (2, "b")]));
+        for (text, line) in [("#if X\n", 1), ("\n#endif\n", 2), ("#else\n", 1), ("#ifdef X\n", 1)] {
+            assert_eq!(select(text, &[]).expect_err("a wrong condition").0, line, "{text}");
+        }
+    }
+
+    #[test]
+    fn constants_are_declared() {
+        let source = "@compute @workgroup_size(LANES) fn main() {}";
+        let shader = Shader { stem: "own", source, params: NONE };
+        let reflection = reflect(&shader, &Variant::of(&[("LANES", 8)])).expect("a shader");
+        assert_eq!(reflection.entries[0].workgroup_size, [8, 1, 1]);
     }
 }

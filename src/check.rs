@@ -1,0 +1,246 @@
+//! Holds a device's kernels to the references.
+//!
+//! Tests run these, and so may anyone who replaces a shader or brings a new driver.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use crate::error::{Error, Result};
+use crate::gpu::{Gpu, Poison, Profile, Program, ProgramOptions, Slot};
+use crate::graph::{Graph, TensorId};
+use crate::kernels::{self, Kernel, Layout, Work};
+use crate::lower::{Choice, Lowered, Request, lower};
+use crate::ops::case::WEIGHTS;
+use crate::ops::{Case, Expected, Op, Report};
+use crate::shape::{Extent, TensorSpec};
+use crate::tensor::{Tensor, Value};
+
+/// Runs `case` by each kernel that fits, on `gpu` with poisoned, guarded buffers, and holds it to the
+/// reference within the kernel's bound; where there are outputs by hand, to those too.
+///
+/// # Errors
+/// What the operation or the device returns. Wrong values are no error, but failures in the
+/// report.
+pub fn check(gpu: &Arc<Gpu>, case: &Case) -> Result<Report> {
+    check_expected(gpu, &Expected::of(case)?, &case.inputs)
+}
+
+/// [`check`] of a case whose reference has run, on other `inputs` than its own.
+///
+/// # Errors
+/// As [`check`].
+pub fn check_expected(gpu: &Arc<Gpu>, expected: &Expected, inputs: &[Value]) -> Result<Report> {
+    let mut report = Report { max_error: 0.0, max_share: 0.0, failures: Vec::new() };
+    for kernel in fitting(gpu, expected.case())? {
+        let one = check_kernel(gpu, expected, inputs, kernel)?;
+        report.max_error = report.max_error.max(one.max_error);
+        report.max_share = report.max_share.max(one.max_share);
+        report.failures.extend(one.failures);
+    }
+    Ok(report)
+}
+
+/// The kernels that can run a case on a device.
+///
+/// # Errors
+/// What the operation refuses.
+pub fn fitting(gpu: &Gpu, case: &Case) -> Result<Vec<&'static dyn Kernel>> {
+    let specs: Vec<TensorSpec> = case.inputs.iter().map(Value::spec).collect();
+    let outputs = case.op.infer(&specs)?;
+    let known: Vec<bool> = case.op.inputs().iter().map(|n| WEIGHTS.contains(n)).collect();
+    let op = case.op.as_ref();
+    let (inputs, outputs, caps) = (&specs[..], &outputs[..], gpu.caps());
+    let work = Work { op, inputs, known: &known, outputs, batch: 1, caps };
+    Ok(kernels::of(op)?.iter().copied().filter(|k| k.fits(&work)).collect())
+}
+
+/// [`check_expected`] of one kernel.
+///
+/// # Errors
+/// As [`check`].
+pub fn check_kernel(
+    gpu: &Arc<Gpu>,
+    expected: &Expected,
+    inputs: &[Value],
+    kernel: &dyn Kernel,
+) -> Result<Report> {
+    let case = expected.case();
+    let op = case.op.as_ref();
+    let mut single = Single::new(gpu, &case.op, inputs, kernel.id(), 1, true)?;
+    // What one kind of poison hides the other shows.
+    let nan = single.run_poisoned(Poison::Nan)?;
+    let finite = single.run_poisoned(Poison::Finite)?;
+    let case_inputs: Vec<&Value> = case.inputs.iter().collect();
+    let bounds = kernel.tolerance(op, &case_inputs, &expected.reference)?;
+    let mut report = expected.judge(&nan, bounds);
+    for (i, name) in op.outputs().into_iter().enumerate() {
+        let what = format!("{} / {} / {name}", kernel.id(), case.name);
+        let n = expected.defined[i];
+        for (poison, values) in [(Poison::Nan, &nan), (Poison::Finite, &finite)] {
+            single.check_untouched(&what, i, (poison, &values[i]), n, &mut report);
+        }
+        if nan[i].bytes()[..4 * n] != finite[i].bytes()[..4 * n] {
+            let line = format!("{what}: depends on what its buffers held before");
+            report.failures.push(line);
+        }
+    }
+    if kernel.batched() {
+        check_batch(gpu, expected, inputs, kernel, &nan, &mut report)?;
+    }
+    Ok(report)
+}
+
+/// A picture gives the same bits whatever else is in the batch.
+fn check_batch(
+    gpu: &Arc<Gpu>,
+    expected: &Expected,
+    inputs: &[Value],
+    kernel: &dyn Kernel,
+    alone: &[Value],
+    report: &mut Report,
+) -> Result<()> {
+    let case = expected.case();
+    let mut single = Single::new(gpu, &case.op, inputs, kernel.id(), 2, true)?;
+    let turned: Vec<Value> = inputs.iter().map(turned).collect();
+    for order in [[inputs, &turned[..]], [&turned[..], inputs]] {
+        let values = single.run_batch(&order)?;
+        let at = usize::from(!std::ptr::eq(order[0], inputs));
+        for (i, name) in case.op.outputs().into_iter().enumerate() {
+            let n = 4 * expected.defined[i];
+            if values[at][i].bytes()[..n] != alone[i].bytes()[..n] {
+                let what = format!("{} / {} / {name}", kernel.id(), case.name);
+                report.failures.push(format!("{what}: depends on the rest of its batch"));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Other values of the same kind: floats from the last to the first.
+fn turned(value: &Value) -> Value {
+    match value {
+        Value::F32(t) => {
+            let data = t.data();
+            Tensor::from_fn(t.shape().clone(), |i| data[data.len() - 1 - i]).into()
+        }
+        Value::U32(_) => value.clone(),
+    }
+}
+
+/// Runs one operation on the device by its preferred kernel.
+///
+/// # Errors
+/// What the operation or the device returns.
+pub fn run_op(gpu: &Arc<Gpu>, op: &Arc<dyn Op>, inputs: &[Value]) -> Result<Vec<Value>> {
+    Single::new(gpu, op, inputs, "", 1, false)?.run()
+}
+
+/// An operation alone on a device.
+struct Single {
+    slot: Slot,
+    /// What each run is given: weights are known to the program.
+    given: Vec<(TensorId, Value)>,
+    /// The places of those among the inputs.
+    indices: Vec<usize>,
+    outputs: Vec<TensorId>,
+    names: Vec<&'static str>,
+    /// The recording's tensors of the outputs, for those that are planar.
+    poisoned: Vec<Option<TensorId>>,
+}
+
+impl Single {
+    fn new(
+        gpu: &Arc<Gpu>,
+        op: &Arc<dyn Op>,
+        inputs: &[Value],
+        kernel: &str,
+        batch: u32,
+        guard: bool,
+    ) -> Result<Self> {
+        op.check(&inputs.iter().collect::<Vec<_>>())?;
+        let mut graph = Graph::default();
+        let (mut given, mut indices, mut ids) = (Vec::new(), Vec::new(), Vec::new());
+        for (index, (value, name)) in inputs.iter().zip(op.inputs()).enumerate() {
+            ids.push(match WEIGHTS.contains(&name) {
+                true => graph.constant(name, value.clone()),
+                false => {
+                    let id = graph.input(name, value.spec(), Extent::Exact);
+                    given.push((id, value.clone()));
+                    indices.push(index);
+                    id
+                }
+            });
+        }
+        let outputs = graph.apply_shared(op.name(), op.clone(), &ids)?;
+        outputs.iter().for_each(|id| graph.mark_output(*id));
+        let choice = if kernel.is_empty() { Choice::default() } else { Choice::force(kernel)? };
+        let request = Request { keep: &[], batch, caps: gpu.caps(), choice: &choice };
+        let lowered = lower(&graph, &request)?;
+        let poisoned = outputs.iter().map(|id| planar(&lowered, *id)).collect();
+        let options = ProgramOptions { reuse: true, guard, profile: Profile::Off };
+        let slot = pollster::block_on(async {
+            let program = Program::new(gpu, &lowered, None, options).await?;
+            Slot::new(&Arc::new(program)).await
+        })?;
+        Ok(Self { slot, given, indices, outputs, names: op.outputs(), poisoned })
+    }
+
+    fn run_poisoned(&mut self, poison: Poison) -> Result<Vec<Value>> {
+        self.slot.poison_with(poison);
+        self.run()
+    }
+
+    fn run(&mut self) -> Result<Vec<Value>> {
+        let inputs: Vec<_> = self.given.iter().map(|(id, value)| (*id, value)).collect();
+        let mut run = self.slot.run(&inputs)?;
+        self.collect(run.first())
+    }
+
+    /// Runs a batch of pictures, each with inputs of its own.
+    fn run_batch(&mut self, pictures: &[&[Value]]) -> Result<Vec<Vec<Value>>> {
+        let ids: Vec<TensorId> = self.given.iter().map(|(id, _)| *id).collect();
+        let inputs: Vec<Vec<(TensorId, &Value)>> = pictures
+            .iter()
+            .map(|inputs| {
+                ids.iter().copied().zip(self.indices.iter().map(|i| &inputs[*i])).collect()
+            })
+            .collect();
+        let inputs: Vec<&[(TensorId, &Value)]> = inputs.iter().map(Vec::as_slice).collect();
+        self.slot.submit(&inputs)?;
+        let run = self.slot.receive()?;
+        run.values.into_iter().map(|values| self.collect(values)).collect()
+    }
+
+    fn collect(&self, mut values: HashMap<TensorId, Value>) -> Result<Vec<Value>> {
+        let outputs = self.outputs.iter().zip(&self.names);
+        outputs
+            .map(|(id, name)| {
+                let missing = || Error::tensor("check", name, "an output", "nothing read back");
+                values.remove(id).ok_or_else(missing)
+            })
+            .collect()
+    }
+
+    /// What lies behind the defined elements must still be the poison: nobody wrote it.
+    fn check_untouched(
+        &self,
+        what: &str,
+        output: usize,
+        (poison, value): (Poison, &Value),
+        defined: usize,
+        report: &mut Report,
+    ) {
+        let Some(id) = self.poisoned[output] else { return };
+        let words: Vec<u32> = bytemuck::pod_collect_to_vec(value.bytes());
+        if let Some(at) = (defined..words.len()).find(|at| words[*at] != poison.word(id, *at)) {
+            let line = format!("{what}: wrote element {at} behind the count {defined}");
+            report.failures.push(line);
+        }
+    }
+}
+
+/// The recording's tensor of an output, if it is planar.
+fn planar(lowered: &Lowered, id: TensorId) -> Option<TensorId> {
+    let place = *lowered.places.get(&id)?;
+    (lowered.recording.info(place).layout == Layout::Planar).then_some(place)
+}

@@ -1,0 +1,403 @@
+//! A [`Program`]: a lowered graph with its pipelines and weights on a device, shared by all slots.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use crate::error::{Error, Result};
+use crate::gpu::context::{Gpu, Pipeline};
+use crate::graph::TensorId;
+use crate::kernels::{Command, Dispatch, Grid, Recording, Role, Storage, TensorInfo};
+use crate::lower::{Lowered, lifetimes};
+use crate::shader::BindingKind;
+
+/// Uniform bindings start at multiples of this on every adapter.
+const UNIFORM_ALIGN: usize = 256;
+
+/// How to build a program.
+#[derive(Clone, Copy, Debug)]
+pub struct ProgramOptions {
+    /// Let tensors whose lifetimes do not overlap share what holds them.
+    pub reuse: bool,
+    /// For tests: fill every computed tensor with [`Poison`](super::Poison) before each run and put
+    /// it behind every tensor, which shows in the results where a shader reads it; fail if one was
+    /// written.
+    pub guard: bool,
+    /// What is timed on the device, where it can.
+    pub profile: Profile,
+}
+
+/// What a run times on the device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Profile {
+    /// Nothing.
+    Off,
+    /// Each stage.
+    Stages,
+    /// Each command.
+    Commands,
+}
+
+impl Default for ProgramOptions {
+    fn default() -> Self {
+        Self { reuse: true, guard: false, profile: Profile::Stages }
+    }
+}
+
+/// What holds a tensor.
+#[derive(Clone, Debug)]
+pub(super) enum Resource {
+    Buffer(wgpu::Buffer),
+    Texture(wgpu::Texture, wgpu::TextureView),
+}
+
+/// Where a tensor lies.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Place {
+    /// In the program: a constant.
+    Fixed(usize),
+    /// In a slot's storage.
+    Slot(usize),
+    /// Given for each picture.
+    Given(TensorId),
+}
+
+/// One binding of a dispatch.
+#[derive(Clone, Debug)]
+pub(super) struct Bound {
+    pub binding: u32,
+    pub place: Place,
+    /// First byte and number of bytes, where it is a part of a buffer.
+    pub part: Option<(u64, u64)>,
+}
+
+/// A command, ready but for the slot's own resources.
+pub(super) enum Step {
+    Dispatch {
+        pipeline: Arc<Pipeline>,
+        bound: Vec<Bound>,
+        /// Binding, offset and bytes of the uniform.
+        uniform: Option<(u32, u64, u64)>,
+        grid: StepGrid,
+        picture: Option<u32>,
+    },
+    Copy {
+        from: Place,
+        to: Place,
+        width: u32,
+        height: u32,
+    },
+}
+
+impl Step {
+    /// What it runs, for people.
+    pub fn name(&self) -> String {
+        match self {
+            Self::Dispatch { pipeline, .. } => pipeline.label.clone(),
+            Self::Copy { .. } => "copy".into(),
+        }
+    }
+}
+
+pub(super) enum StepGrid {
+    Direct([u32; 3]),
+    Indirect(Place, u64),
+}
+
+/// A tensor that a run gives back.
+pub(super) struct Output {
+    /// The graph's tensor, `None` for one that is only read to look at its guard.
+    pub id: Option<TensorId>,
+    pub tensor: TensorId,
+    pub place: Place,
+    pub offset: u64,
+}
+
+/// A lowered graph on a device: pipelines, weights, and how a slot is laid out. Immutable.
+pub struct Program {
+    pub(super) gpu: Arc<Gpu>,
+    pub(super) options: ProgramOptions,
+    pub(super) batch: u32,
+    pub(super) tensors: Vec<TensorInfo>,
+    pub(super) places: Vec<Option<Place>>,
+    /// The recording's tensor of each of the graph's inputs and outputs.
+    pub(super) names: HashMap<TensorId, TensorId>,
+    pub(super) storage: Vec<Storage>,
+    pub(super) fixed: Vec<Resource>,
+    pub(super) uniforms: wgpu::Buffer,
+    pub(super) steps: Vec<Step>,
+    pub(super) stages: Vec<(String, std::ops::Range<usize>)>,
+    pub(super) outputs: Vec<Output>,
+    pub(super) staging_bytes: u64,
+    kernels: Vec<&'static str>,
+    shared: HashMap<(String, Storage), usize>,
+}
+
+/// Bytes behind each tensor that no shader may touch, where the program is guarded.
+pub(super) const GUARD_BYTES: u64 = 4 * 64;
+
+impl std::fmt::Debug for Program {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Program({} commands, {} tensors)", self.steps.len(), self.tensors.len())
+    }
+}
+
+impl Program {
+    /// Compiles the shaders of `lowered`, and uploads its constants. Those that `like` holds already,
+    /// a program of the same weights, are shared.
+    ///
+    /// # Errors
+    /// [`Error::Shader`] for a shader that does not compile or does not have the bindings that were
+    /// recorded; [`Error::Capacity`] for a tensor past the device's limits; [`Error::Driver`] for what
+    /// the driver objects to.
+    pub async fn new(
+        gpu: &Arc<Gpu>,
+        lowered: &Lowered,
+        like: Option<&Program>,
+        options: ProgramOptions,
+    ) -> Result<Self> {
+        gpu.check_lost()?;
+        let build = || Self::build(gpu, lowered, like, options);
+        let program = gpu.scoped("building the program", build).await;
+        if program.is_err() {
+            gpu.forget_pipelines();
+        }
+        program
+    }
+
+    fn build(
+        gpu: &Arc<Gpu>,
+        lowered: &Lowered,
+        like: Option<&Program>,
+        options: ProgramOptions,
+    ) -> Result<Self> {
+        let recording = &lowered.recording;
+        let limits = gpu.device.limits();
+        check_sizes(recording, &limits)?;
+        gpu.compile(recording)?;
+        let guard = if options.guard { GUARD_BYTES } else { 0 };
+        let assignment = lifetimes::assign(recording, options.reuse && !options.guard);
+        let mut program = Self {
+            gpu: gpu.clone(),
+            options,
+            batch: recording.batch(),
+            tensors: recording.tensors().to_vec(),
+            places: vec![None; recording.tensors().len()],
+            names: lowered.places.clone(),
+            storage: Vec::new(),
+            fixed: Vec::new(),
+            uniforms: uniforms(gpu, recording),
+            steps: Vec::new(),
+            stages: stage_ranges(recording),
+            outputs: Vec::new(),
+            staging_bytes: 0,
+            kernels: lowered.kernels.clone(),
+            shared: HashMap::new(),
+        };
+        let mut slots: HashMap<usize, usize> = HashMap::new();
+        for (index, info) in recording.tensors().iter().enumerate() {
+            let Some(slot) = assignment.slot[index] else { continue };
+            program.places[index] = Some(match &info.role {
+                Role::Constant(_) => Place::Fixed(program.upload(info, like, guard)?),
+                Role::Input(_) => Place::Given(TensorId(index)),
+                Role::Transient | Role::Output => {
+                    let next = program.storage.len();
+                    let at = *slots.entry(slot).or_insert(next);
+                    if at == next {
+                        program.storage.push(assignment.storage[slot]);
+                    }
+                    Place::Slot(at)
+                }
+            });
+        }
+        // The weights are on the device: nobody needs how to make them any more.
+        for info in &mut program.tensors {
+            if let Role::Constant(_) = info.role {
+                info.role = Role::Transient;
+            }
+        }
+        let mut offset = 0;
+        for command in recording.commands() {
+            program.add_step(command, &mut offset)?;
+        }
+        program.add_outputs(recording, guard);
+        if program.staging_bytes > limits.max_buffer_size {
+            return Err(Error::Capacity {
+                what: "bytes read back in one run; keep fewer tensors or a smaller input".into(),
+                needed: program.staging_bytes,
+                available: limits.max_buffer_size,
+            });
+        }
+        Ok(program)
+    }
+
+    /// Puts a constant on the device, or finds it where it is already.
+    fn upload(&mut self, info: &TensorInfo, like: Option<&Program>, guard: u64) -> Result<usize> {
+        let Role::Constant(constant) = &info.role else {
+            return Err(Error::tensor("program", &info.name, "a constant", "another tensor"));
+        };
+        let name = (info.name.clone(), info.storage);
+        let resource = match like.and_then(|p| Some(p.fixed[*p.shared.get(&name)?].clone())) {
+            Some(shared) => shared,
+            None => {
+                let value = constant.get()?;
+                let resource = self.gpu.create(info.storage, guard);
+                match &resource {
+                    Resource::Buffer(buffer) => {
+                        self.gpu.queue.write_buffer(buffer, 0, value.bytes());
+                    }
+                    Resource::Texture(texture, _) => self.gpu.write_texture(texture, value.bytes()),
+                }
+                // Uploads wait in memory of their own until they are submitted.
+                self.gpu.pass_uploads_on(value.bytes().len() as u64);
+                resource
+            }
+        };
+        self.fixed.push(resource);
+        self.shared.insert(name, self.fixed.len() - 1);
+        Ok(self.fixed.len() - 1)
+    }
+
+    fn place(&self, dispatch: &Dispatch, id: TensorId) -> Result<Place> {
+        let none = || mismatch(dispatch, format!("tensor {} lies nowhere", id.0));
+        self.places[id.0].ok_or_else(none)
+    }
+
+    fn add_step(&mut self, command: &Command, offset: &mut u64) -> Result<()> {
+        let dispatch = match command {
+            Command::Dispatch(dispatch) => dispatch,
+            Command::Copy { from, to } => {
+                let info = &self.tensors[to.0];
+                let missing =
+                    || Error::tensor("program", &info.name, "a texture", "another tensor");
+                let Storage::Texture { width, height } = info.storage else {
+                    return Err(missing());
+                };
+                let [from, to] = [from, to].map(|id| self.places[id.0].ok_or_else(missing));
+                self.steps.push(Step::Copy { from: from?, to: to?, width, height });
+                return Ok(());
+            }
+        };
+        let pipeline = self.gpu.pipeline(dispatch)?;
+        let mut bound = Vec::new();
+        let mut uniform = None;
+        let (params, bytes) = (*offset, dispatch.params.len() as u64);
+        *offset += bytes.next_multiple_of(UNIFORM_ALIGN as u64);
+        for (name, binding, kind) in &pipeline.bindings {
+            if *kind == BindingKind::Uniform {
+                uniform = Some((*binding, params, bytes));
+                continue;
+            }
+            let missing = || mismatch(dispatch, format!("binding `{name}` was not recorded"));
+            let found = dispatch.bindings.iter().find(|(n, _)| n == name);
+            let (_, id) = found.ok_or_else(missing)?;
+            bound.push(Bound {
+                binding: *binding,
+                place: self.place(dispatch, *id)?,
+                part: self.part(dispatch, *id),
+            });
+        }
+        let known = |n: &str| pipeline.bindings.iter().any(|(name, _, _)| name == n);
+        if let Some((name, _)) = dispatch.bindings.iter().find(|(n, _)| !known(n)) {
+            return Err(mismatch(dispatch, format!("no binding `{name}`")));
+        }
+        let grid = match dispatch.grid {
+            Grid::Workgroups(n) => StepGrid::Direct(n),
+            Grid::Indirect(id) => {
+                let first = self.part(dispatch, id).map_or(0, |(first, _)| first);
+                StepGrid::Indirect(self.place(dispatch, id)?, first)
+            }
+        };
+        let picture = dispatch.picture;
+        self.steps.push(Step::Dispatch { pipeline, bound, uniform, grid, picture });
+        Ok(())
+    }
+
+    /// What a dispatch for one picture of several sees of a tensor.
+    fn part(&self, dispatch: &Dispatch, id: TensorId) -> Option<(u64, u64)> {
+        let info = &self.tensors[id.0];
+        let picture = dispatch.picture.filter(|_| self.batch > 1)?;
+        match self.places[id.0]? {
+            Place::Slot(_) => Some((u64::from(picture) * info.stride, info.spec.bytes().max(4))),
+            // A constant serves all pictures, and each picture's inputs are their own.
+            Place::Fixed(_) | Place::Given(_) => None,
+        }
+    }
+
+    fn add_outputs(&mut self, recording: &Recording, guard: u64) {
+        let names: HashMap<TensorId, TensorId> = self.names.iter().map(|(k, v)| (*v, *k)).collect();
+        for (index, info) in recording.tensors().iter().enumerate() {
+            let tensor = TensorId(index);
+            let asked = matches!(info.role, Role::Output);
+            let guarded = guard > 0 && matches!(info.role, Role::Transient);
+            let Storage::Buffer { bytes } = info.storage else { continue };
+            let Some(place) = self.places[index].filter(|_| asked || guarded) else { continue };
+            let id = names.get(&tensor).copied().filter(|_| asked);
+            self.outputs.push(Output { id, tensor, place, offset: self.staging_bytes });
+            self.staging_bytes += (bytes + guard).next_multiple_of(8);
+        }
+    }
+
+    /// Pictures at a time.
+    pub fn batch(&self) -> u32 {
+        self.batch
+    }
+
+    /// The kernel of each operation, in order.
+    pub fn kernels(&self) -> &[&'static str] {
+        &self.kernels
+    }
+}
+
+fn check_sizes(recording: &Recording, limits: &wgpu::Limits) -> Result<()> {
+    for info in recording.tensors() {
+        let (what, needed, available) = match info.storage {
+            _ if matches!(info.role, Role::Input(crate::shape::Extent::UpTo)) => continue,
+            Storage::Buffer { bytes } => ("bytes", bytes, limits.max_storage_buffer_binding_size),
+            Storage::Texture { width, height } => (
+                "texels of a side",
+                width.max(height).into(),
+                limits.max_texture_dimension_2d.into(),
+            ),
+        };
+        if needed > available {
+            let what = format!("{what} for tensor `{}` ({})", info.name, info.spec);
+            return Err(Error::Capacity { what, needed, available });
+        }
+    }
+    Ok(())
+}
+
+/// The uniforms of all dispatches, one behind the other.
+fn uniforms(gpu: &Gpu, recording: &Recording) -> wgpu::Buffer {
+    let mut bytes: Vec<u8> = Vec::new();
+    for command in recording.commands() {
+        let Command::Dispatch(dispatch) = command else { continue };
+        bytes.extend_from_slice(&dispatch.params);
+        bytes.resize(bytes.len().next_multiple_of(UNIFORM_ALIGN), 0);
+    }
+    let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("params"),
+        size: (bytes.len() as u64).max(4),
+        usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    });
+    if !bytes.is_empty() {
+        gpu.queue.write_buffer(&buffer, 0, &bytes);
+    }
+    buffer
+}
+
+fn mismatch(dispatch: &Dispatch, message: String) -> Error {
+    Error::Shader { file: format!("{}.wgsl", dispatch.shader.stem), line: 0, message }
+}
+
+fn stage_ranges(recording: &Recording) -> Vec<(String, std::ops::Range<usize>)> {
+    let total = recording.commands().len();
+    let mut starts: Vec<(String, usize)> =
+        recording.stages().iter().map(|s| (s.name.clone(), s.first)).collect();
+    if starts.first().is_none_or(|(_, first)| *first > 0) && total > 0 {
+        starts.insert(0, ("all".into(), 0));
+    }
+    let ends: Vec<usize> = starts.iter().skip(1).map(|s| s.1).chain([total]).collect();
+    starts.into_iter().zip(ends).map(|((name, start), end)| (name, start..end)).collect()
+}

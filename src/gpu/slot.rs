@@ -1,0 +1,509 @@
+//! A [`Slot`]: what one run of a program needs for itself, so that several can be in flight.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crate::error::{Error, Result};
+use crate::gpu::context::Gpu;
+use crate::gpu::poison::Poison;
+use crate::gpu::program::{
+    GUARD_BYTES, Place, Profile, Program, ProgramOptions, Resource, Step, StepGrid,
+};
+use crate::gpu::readback;
+use crate::graph::{Graph, StageTime, TensorId};
+use crate::kernels::{Layout, Quads, Role, Storage};
+use crate::lower::{Choice, Request, lower};
+use crate::shape::DType;
+use crate::tensor::{Tensor, Value};
+
+/// What a run gives back.
+#[derive(Clone, Debug)]
+pub struct RunOutput {
+    /// For each picture, the values of the graph's outputs and of the tensors that were kept.
+    pub values: Vec<HashMap<TensorId, Value>>,
+    /// Device time by stage, or by command; empty where the device has no timestamps.
+    pub stages: Vec<StageTime>,
+    /// From the first byte uploaded to the last read back.
+    pub wall: Duration,
+}
+
+impl RunOutput {
+    /// The values of the first picture.
+    pub fn first(&mut self) -> HashMap<TensorId, Value> {
+        if self.values.is_empty() { HashMap::new() } else { self.values.swap_remove(0) }
+    }
+}
+
+/// The values that a run takes, by the graph's inputs.
+pub type Inputs<'a> = [(TensorId, &'a Value)];
+
+/// Storage, inputs and staging memory for one run of a [`Program`] at a time.
+pub struct Slot {
+    program: Arc<Program>,
+    storage: Vec<Resource>,
+    /// What the host writes, by the recording's tensor and the picture.
+    given: HashMap<(TensorId, u32), wgpu::Buffer>,
+    /// For each step, its bindings; none for copies, and before they are needed.
+    groups: Vec<Option<wgpu::BindGroup>>,
+    staging: wgpu::Buffer,
+    staging_bytes: u64,
+    timestamps: Option<Timestamps>,
+    poison: Poison,
+    in_flight: Option<(wgpu::SubmissionIndex, Instant)>,
+}
+
+struct Timestamps {
+    set: wgpu::QuerySet,
+    resolve: wgpu::Buffer,
+    /// Their place in the staging buffer.
+    offset: u64,
+}
+
+impl std::fmt::Debug for Slot {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Slot({} buffers and textures)", self.storage.len())
+    }
+}
+
+impl Slot {
+    /// Allocates what a run of `program` needs.
+    ///
+    /// # Errors
+    /// [`Error::Driver`] for what the driver objects to.
+    pub async fn new(program: &Arc<Program>) -> Result<Self> {
+        let gpu = program.gpu.clone();
+        gpu.check_lost()?;
+        gpu.scoped("allocating memory for a picture", || Ok(Self::build(program))).await
+    }
+
+    /// A slot of a program of its own: `graph` by the preferred kernels, a picture at a time. A run
+    /// gives back the graph's outputs and the tensors in `keep`.
+    ///
+    /// # Errors
+    /// As [`lower`], [`Program::new`] and [`Slot::new`].
+    pub async fn of(
+        gpu: &Arc<Gpu>,
+        graph: &Graph,
+        keep: &[TensorId],
+        options: ProgramOptions,
+    ) -> Result<Self> {
+        let choice = Choice::default();
+        let request = Request { keep, batch: 1, caps: gpu.caps(), choice: &choice };
+        let lowered = lower(graph, &request)?;
+        let program = Program::new(gpu, &lowered, None, options).await?;
+        Self::new(&Arc::new(program)).await
+    }
+
+    fn build(program: &Arc<Program>) -> Self {
+        let gpu = &program.gpu;
+        let guard = if program.options.guard { GUARD_BYTES } else { 0 };
+        let storage = program.storage.iter().map(|s| gpu.create(*s, guard)).collect();
+        let timed = match program.options.profile {
+            Profile::Off => 0,
+            Profile::Stages => program.stages.len(),
+            Profile::Commands => program.steps.len(),
+        };
+        let mut staging_bytes = program.staging_bytes;
+        let timestamps = (timed > 0 && gpu.has_timestamps()).then(|| {
+            let count = timed as u32 * 2;
+            let set = gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
+                label: None,
+                ty: wgpu::QueryType::Timestamp,
+                count,
+            });
+            let resolve = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: None,
+                size: u64::from(count) * 8,
+                usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+                mapped_at_creation: false,
+            });
+            let offset = staging_bytes.next_multiple_of(8);
+            staging_bytes = offset + resolve.size();
+            Timestamps { set, resolve, offset }
+        });
+        let staging_bytes = staging_bytes.max(4);
+        let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("staging"),
+            size: staging_bytes,
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        Self {
+            program: program.clone(),
+            storage,
+            given: HashMap::new(),
+            groups: program.steps.iter().map(|_| None).collect(),
+            staging,
+            staging_bytes,
+            timestamps,
+            poison: Poison::default(),
+            in_flight: None,
+        }
+    }
+
+    /// The program that it runs.
+    pub fn program(&self) -> &Arc<Program> {
+        &self.program
+    }
+
+    /// What guarded buffers hold before the next runs; [`Poison::Nan`] at first.
+    pub fn poison_with(&mut self, poison: Poison) {
+        self.poison = poison;
+    }
+
+    /// [`Slot::submit`] of one picture and [`Slot::receive`].
+    ///
+    /// # Errors
+    /// As both.
+    pub fn run(&mut self, inputs: &Inputs) -> Result<RunOutput> {
+        self.submit(&[inputs])?;
+        self.receive()
+    }
+
+    /// Uploads the inputs of each picture and starts the run. There may be fewer pictures than the
+    /// program's batch: the last is then repeated.
+    ///
+    /// # Errors
+    /// [`Error::Tensor`] if an input is missing, unknown or of another shape, or if a run is under way;
+    /// [`Error::DeviceLost`] or [`Error::Driver`] from the device.
+    pub fn submit(&mut self, pictures: &[&Inputs]) -> Result<()> {
+        let start = Instant::now();
+        let program = self.program.clone();
+        let gpu = &program.gpu;
+        gpu.check_lost()?;
+        if self.in_flight.is_some() {
+            return Err(Error::tensor("run", "slot", "one without a run", "a run under way"));
+        }
+        if pictures.is_empty() || pictures.len() > program.batch as usize {
+            let expected = format!("1 to {}", program.batch);
+            return Err(Error::tensor("run", "pictures", expected, pictures.len()));
+        }
+        for inputs in pictures {
+            self.check(inputs)?;
+        }
+        let submission = pollster::block_on(gpu.scoped("running the network", || {
+            self.fill();
+            for (picture, inputs) in (0..program.batch).zip(pictures.iter().cycle()) {
+                for (id, value) in *inputs {
+                    self.give(program.names[id], picture, value);
+                }
+            }
+            self.bind();
+            Ok(gpu.queue.submit([self.encode()]))
+        }))?;
+        self.in_flight = Some((submission, start));
+        Ok(())
+    }
+
+    fn check(&self, inputs: &Inputs) -> Result<()> {
+        let program = &self.program;
+        for (id, place) in &program.names {
+            let info = &program.tensors[place.0];
+            let Role::Input(extent) = info.role else { continue };
+            let given = inputs.iter().find(|(i, _)| i == id).map(|(_, v)| v.spec());
+            extent.check("run", &info.name, &info.spec, given)?;
+        }
+        let is_input = |id: &TensorId| {
+            let place = program.names.get(id);
+            place.is_some_and(|p| matches!(program.tensors[p.0].role, Role::Input(_)))
+        };
+        match inputs.iter().find(|(id, _)| !is_input(id)) {
+            Some((id, value)) => {
+                Err(Error::tensor("run", &format!("{}", id.0), "an input", value.spec()))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Writes an input of a picture, in a larger buffer if it needs one.
+    fn give(&mut self, id: TensorId, picture: u32, value: &Value) {
+        let program = self.program.clone();
+        let gpu = &program.gpu;
+        let bytes = value.bytes().len().max(4) as u64;
+        let guard = if program.options.guard { GUARD_BYTES } else { 0 };
+        if self.given.get(&(id, picture)).is_none_or(|buffer| buffer.size() < bytes + guard) {
+            let Resource::Buffer(buffer) = gpu.create(Storage::Buffer { bytes }, guard) else {
+                return;
+            };
+            self.given.insert((id, picture), buffer);
+            // Whoever binds it binds anew.
+            for (group, step) in self.groups.iter_mut().zip(&program.steps) {
+                let Step::Dispatch { bound, .. } = step else { continue };
+                if bound.iter().any(|b| matches!(b.place, Place::Given(given) if given == id)) {
+                    *group = None;
+                }
+            }
+        }
+        let Some(buffer) = self.given.get(&(id, picture)) else { return };
+        gpu.queue.write_buffer(buffer, 0, value.bytes());
+        if guard > 0 {
+            let words = (bytes / 4..buffer.size() / 4).map(|at| at as usize);
+            let poison: Vec<u32> = words.map(|at| self.poison.word(id, at)).collect();
+            gpu.queue.write_buffer(buffer, bytes, bytemuck::cast_slice(&poison));
+        }
+    }
+
+    /// Fills what is guarded with poison.
+    fn fill(&self) {
+        if !self.program.options.guard {
+            return;
+        }
+        let gpu = &self.program.gpu;
+        for (index, _info) in self.program.tensors.iter().enumerate() {
+            let Some(place) = self.program.places[index] else { continue };
+            let word = |at: usize| self.poison.word(TensorId(index), at);
+            match (place, self.resource(place, 0)) {
+                (Place::Given(_), _) | (_, None) => {}
+                (Place::Fixed(_), Some(Resource::Texture(..))) => {}
+                (place, Some(Resource::Buffer(buffer))) => {
+                    let guard = buffer.size() - GUARD_BYTES;
+                    let first = if matches!(place, Place::Fixed(_)) { guard } else { 0 };
+                    let words = (first / 4) as usize..(buffer.size() / 4) as usize;
+                    let poison: Vec<u32> = words.map(word).collect();
+                    gpu.queue.write_buffer(&buffer, first, bytemuck::cast_slice(&poison));
+                }
+                (_, Some(Resource::Texture(texture, _))) => {
+                    let words = texture.width() as usize * texture.height() as usize * 4;
+                    let poison: Vec<u32> = (0..words).map(word).collect();
+                    gpu.write_texture(&texture, bytemuck::cast_slice(&poison));
+                }
+            }
+        }
+    }
+
+    /// What holds a tensor, of a picture where each has its own.
+    fn resource(&self, place: Place, picture: u32) -> Option<Resource> {
+        match place {
+            Place::Fixed(at) => self.program.fixed.get(at).cloned(),
+            Place::Slot(at) => self.storage.get(at).cloned(),
+            Place::Given(id) => self.given.get(&(id, picture)).cloned().map(Resource::Buffer),
+        }
+    }
+
+    /// Makes the bind groups that are missing.
+    fn bind(&mut self) {
+        let program = self.program.clone();
+        for (index, step) in program.steps.iter().enumerate() {
+            let Step::Dispatch { pipeline, bound, uniform, picture, .. } = step else { continue };
+            if self.groups[index].is_some() {
+                continue;
+            }
+            let resources: Vec<Option<Resource>> =
+                bound.iter().map(|b| self.resource(b.place, picture.unwrap_or(0))).collect();
+            let mut entries = Vec::with_capacity(bound.len() + 1);
+            for (bound, resource) in bound.iter().zip(&resources) {
+                let resource = match resource {
+                    Some(Resource::Buffer(buffer)) => {
+                        let (offset, size) = match bound.part {
+                            Some((offset, bytes)) => (offset, std::num::NonZeroU64::new(bytes)),
+                            None => (0, None),
+                        };
+                        let buffer = wgpu::BufferBinding { buffer, offset, size };
+                        wgpu::BindingResource::Buffer(buffer)
+                    }
+                    Some(Resource::Texture(_, view)) => wgpu::BindingResource::TextureView(view),
+                    None => continue,
+                };
+                entries.push(wgpu::BindGroupEntry { binding: bound.binding, resource });
+            }
+            if let Some((binding, offset, bytes)) = uniform {
+                entries.push(wgpu::BindGroupEntry {
+                    binding: *binding,
+                    resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                        buffer: &program.uniforms,
+                        offset: *offset,
+                        size: std::num::NonZeroU64::new(*bytes),
+                    }),
+                });
+            }
+            let group = program.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some(&pipeline.label),
+                layout: &pipeline.layout,
+                entries: &entries,
+            });
+            self.groups[index] = Some(group);
+        }
+    }
+
+    fn encode(&self) -> wgpu::CommandBuffer {
+        let program = &self.program;
+        let mut encoder = program.gpu.device.create_command_encoder(&Default::default());
+        for (index, (_, range)) in program.stages.iter().enumerate() {
+            // Passes end at copies, and where each command is timed.
+            let apart = program.options.profile == Profile::Commands;
+            let is_copy = |at: usize| matches!(program.steps[at], Step::Copy { .. });
+            let mut runs: Vec<std::ops::Range<usize>> = Vec::new();
+            for at in range.clone() {
+                match runs.last_mut() {
+                    Some(run) if !apart && !is_copy(at) && !is_copy(run.start) => run.end = at + 1,
+                    _ => runs.push(at..at + 1),
+                }
+            }
+            let passes: Vec<usize> = (0..runs.len()).filter(|r| !is_copy(runs[*r].start)).collect();
+            for (r, run) in runs.iter().enumerate() {
+                if let Step::Copy { from, to, width, height } = &program.steps[run.start] {
+                    self.copy(&mut encoder, (*from, *to), (*width, *height));
+                    continue;
+                }
+                let (first, last) = match program.options.profile {
+                    Profile::Off => (None, None),
+                    Profile::Commands => {
+                        let at = run.start as u32 * 2;
+                        (Some(at), Some(at + 1))
+                    }
+                    Profile::Stages => {
+                        let at = index as u32 * 2;
+                        let ends = |end: Option<&usize>| end == Some(&r);
+                        (ends(passes.first()).then_some(at), ends(passes.last()).then_some(at + 1))
+                    }
+                };
+                let timed = self.timestamps.as_ref().filter(|_| first.is_some() || last.is_some());
+                let writes = timed.map(|t| wgpu::ComputePassTimestampWrites {
+                    query_set: &t.set,
+                    beginning_of_pass_write_index: first,
+                    end_of_pass_write_index: last,
+                });
+                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                    label: None,
+                    timestamp_writes: writes,
+                });
+                for at in run.clone() {
+                    self.dispatch(&mut pass, at);
+                }
+            }
+        }
+        self.read_back(&mut encoder);
+        encoder.finish()
+    }
+
+    fn dispatch(&self, pass: &mut wgpu::ComputePass, at: usize) {
+        let Step::Dispatch { pipeline, grid, .. } = &self.program.steps[at] else { return };
+        pass.set_pipeline(&pipeline.pipeline);
+        pass.set_bind_group(0, self.groups[at].as_ref(), &[]);
+        match grid {
+            StepGrid::Direct([x, y, z]) => pass.dispatch_workgroups(*x, *y, *z),
+            StepGrid::Indirect(place, offset) => {
+                if let Some(Resource::Buffer(buffer)) = self.resource(*place, 0) {
+                    pass.dispatch_workgroups_indirect(&buffer, *offset);
+                }
+            }
+        }
+    }
+
+    fn copy(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        (from, to): (Place, Place),
+        (width, height): (u32, u32),
+    ) {
+        let (from, to) = (self.resource(from, 0), self.resource(to, 0));
+        let (Some(Resource::Buffer(from)), Some(Resource::Texture(to, _))) = (from, to) else {
+            return;
+        };
+        let layout = wgpu::TexelCopyBufferLayout {
+            offset: 0,
+            bytes_per_row: Some(width * 16),
+            rows_per_image: Some(height),
+        };
+        let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
+        let from = wgpu::TexelCopyBufferInfo { buffer: &from, layout };
+        encoder.copy_buffer_to_texture(from, to.as_image_copy(), size);
+    }
+
+    fn read_back(&self, encoder: &mut wgpu::CommandEncoder) {
+        let program = &self.program;
+        let guard = if program.options.guard { GUARD_BYTES } else { 0 };
+        for output in &program.outputs {
+            let Storage::Buffer { bytes } = program.tensors[output.tensor.0].storage else {
+                continue;
+            };
+            let Some(Resource::Buffer(buffer)) = self.resource(output.place, 0) else { continue };
+            encoder.copy_buffer_to_buffer(&buffer, 0, &self.staging, output.offset, bytes + guard);
+        }
+        if let Some(t) = &self.timestamps {
+            encoder.resolve_query_set(&t.set, 0..(t.resolve.size() / 8) as u32, &t.resolve, 0);
+            encoder.copy_buffer_to_buffer(&t.resolve, 0, &self.staging, t.offset, t.resolve.size());
+        }
+    }
+
+    /// Waits for the run that was submitted, and reads its outputs.
+    ///
+    /// # Errors
+    /// [`Error::Tensor`] if none was; [`Error::DeviceLost`], [`Error::Timeout`] or [`Error::Driver`]
+    /// from the device.
+    pub fn receive(&mut self) -> Result<RunOutput> {
+        let none = || Error::tensor("run", "slot", "a run under way", "none");
+        let (submission, start) = self.in_flight.take().ok_or_else(none)?;
+        let gpu = &self.program.gpu;
+        let bytes =
+            readback::read(gpu, &self.staging, self.staging_bytes, submission, "the network")?;
+        let values = (0..self.program.batch).map(|picture| self.collect(&bytes, picture));
+        let values = values.collect::<Result<_>>()?;
+        Ok(RunOutput { values, stages: self.times(gpu, &bytes), wall: start.elapsed() })
+    }
+
+    fn collect(&self, bytes: &[u8], picture: u32) -> Result<HashMap<TensorId, Value>> {
+        let program = &self.program;
+        let mut values = HashMap::new();
+        for output in &program.outputs {
+            let info = &program.tensors[output.tensor.0];
+            let Storage::Buffer { bytes: all } = info.storage else { continue };
+            let start = output.offset as usize;
+            if program.options.guard {
+                let end = start + all as usize;
+                let behind: Vec<u32> =
+                    bytemuck::pod_collect_to_vec(&bytes[end..end + GUARD_BYTES as usize]);
+                let first = all as usize / 4;
+                let word = |at: usize| self.poison.word(output.tensor, first + at);
+                if let Some(at) = (0..behind.len()).find(|at| behind[*at] != word(*at)) {
+                    return Err(Error::tensor(
+                        "run",
+                        &info.name,
+                        "no write behind its end",
+                        format!("one {at} elements behind"),
+                    ));
+                }
+            }
+            let Some(id) = output.id else { continue };
+            let start = start + (u64::from(picture) * info.stride) as usize;
+            let value = match info.layout {
+                Layout::Planar => {
+                    let end = start + info.spec.bytes() as usize;
+                    Value::from_bytes(&info.spec, &bytes[start..end])?
+                }
+                Layout::Quads | Layout::Texture => {
+                    let quads = Quads::of(&info.spec, program.batch, program.gpu.caps());
+                    let wrong = || Error::tensor("run", &info.name, "a map [C, H, W]", &info.spec);
+                    let quads =
+                        quads.filter(|_| info.spec.dtype == DType::F32).ok_or_else(wrong)?;
+                    let end = start + quads.bytes() as usize;
+                    let texels: Vec<f32> = bytemuck::pod_collect_to_vec(&bytes[start..end]);
+                    Tensor::new(info.spec.shape.clone(), quads.unpack(&texels))?.into()
+                }
+            };
+            values.insert(id, value);
+        }
+        Ok(values)
+    }
+
+    fn times(&self, gpu: &Gpu, bytes: &[u8]) -> Vec<StageTime> {
+        let Some(t) = &self.timestamps else { return Vec::new() };
+        let start = t.offset as usize;
+        let ticks: Vec<u64> =
+            bytemuck::pod_collect_to_vec(&bytes[start..start + t.resolve.size() as usize]);
+        let period = f64::from(gpu.queue.get_timestamp_period());
+        let names: Vec<String> = match self.program.options.profile {
+            Profile::Commands => self.program.steps.iter().map(Step::name).collect(),
+            _ => self.program.stages.iter().map(|(name, _)| name.clone()).collect(),
+        };
+        names
+            .into_iter()
+            .zip(ticks.chunks_exact(2))
+            .map(|(stage, t)| StageTime {
+                stage,
+                time: Duration::from_nanos((t[1].saturating_sub(t[0]) as f64 * period) as u64),
+            })
+            .collect()
+    }
+}

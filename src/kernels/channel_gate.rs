@@ -1,0 +1,61 @@
+//! CBAM's channel gate.
+
+use crate::error::{Error, Result};
+use crate::graph::TensorId;
+use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::ops::{ChannelGate, Op};
+use crate::shader::{Shader, Variant, shader_params};
+
+shader_params! {
+    struct Params {
+        channels: u32,
+        hidden: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "channel_gate",
+    source: include_str!("../../wgsl/channel_gate.wgsl"),
+    params: PARAMS,
+};
+
+/// Hidden units that fit in the shader's workgroup memory.
+const CAPACITY: usize = 1024;
+
+/// The definition, on planar maps.
+#[derive(Debug)]
+pub(super) struct Planar;
+
+impl Kernel for Planar {
+    fn id(&self) -> &'static str {
+        "channel_gate/planar"
+    }
+
+    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
+        vec![(&SHADER, Variant::default())]
+    }
+
+    fn record(
+        &self,
+        work: &Work,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let op: &ChannelGate = work.op()?;
+        let [hidden, channels] = [0, 1].map(|i| recording.dims(inputs[1])[i]);
+        if hidden > CAPACITY {
+            return Err(Error::Capacity {
+                what: format!("{}: hidden units", op.name()),
+                needed: hidden as u64,
+                available: CAPACITY as u64,
+            });
+        }
+        let params = Params { channels: channels as u32, hidden: hidden as u32 };
+        let mut bindings: Vec<_> = op.inputs().into_iter().zip(inputs.iter().copied()).collect();
+        bindings.push(("output", outputs[0]));
+        let grid = Grid::Workgroups([1, 1, 1]);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
+        Ok(())
+    }
+}

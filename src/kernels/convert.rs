@@ -1,0 +1,76 @@
+//! From one layout of a map to another.
+
+use crate::error::{Error, Result};
+use crate::graph::TensorId;
+use crate::kernels::{Caps, Dispatch, Grid, Layout, MAX_WORKGROUPS, Quads, Recording};
+use crate::shader::{Shader, Variant, shader_params};
+
+shader_params! {
+    struct Params {
+        map: Quads,
+        stride: u32,
+        pad0: u32,
+        pad1: u32,
+        pad2: u32,
+    }
+}
+
+static SHADER: Shader =
+    Shader { stem: "convert", source: include_str!("../../wgsl/convert.wgsl"), params: PARAMS };
+
+/// Invocations of a workgroup.
+const LANES: u32 = 64;
+
+/// A conversion that a lowering puts between two kernels; no operation of the network.
+#[derive(Debug)]
+pub(crate) struct Convert;
+
+impl Convert {
+    /// Its shader.
+    pub fn shaders(_caps: &Caps) -> Vec<(&'static Shader, Variant)> {
+        vec![(&SHADER, Variant::default())]
+    }
+
+    /// Appends what brings `from` to the layout of `to`, a tensor of the same shape.
+    ///
+    /// # Errors
+    /// [`Error::Capacity`] for a map with too many rows, [`Error::Tensor`] for layouts between which
+    /// there is no single step.
+    pub fn record(recording: &mut Recording, from: TensorId, to: TensorId) -> Result<()> {
+        let map = recording.quads(to)?;
+        let (entry, planar, quads) = match (recording.info(from).layout, recording.info(to).layout)
+        {
+            (Layout::Quads, Layout::Texture) => {
+                recording.copy(from, to);
+                return Ok(());
+            }
+            (Layout::Planar, Layout::Quads) => ("to_quads", from, to),
+            (Layout::Quads, Layout::Planar) => ("to_planar", to, from),
+            (from, to) => {
+                return Err(Error::tensor(
+                    "convert",
+                    "map",
+                    "one step",
+                    format!("{from:?} to {to:?}"),
+                ));
+            }
+        };
+        let params = Params { map, stride: recording.stride(planar), pad0: 0, pad1: 0, pad2: 0 };
+        let rows = map.quads * map.height;
+        if rows > MAX_WORKGROUPS {
+            return Err(Error::Capacity {
+                what: "convert: rows of a map".into(),
+                needed: rows.into(),
+                available: MAX_WORKGROUPS.into(),
+            });
+        }
+        let names = match entry {
+            "to_quads" => ["planar", "quads"],
+            _ => ["planar_out", "quads_in"],
+        };
+        let bindings = [(names[0], planar), (names[1], quads)];
+        let grid = Grid::Workgroups([map.width.div_ceil(LANES), rows, recording.batch()]);
+        recording.dispatch(Dispatch::new(&SHADER, entry, &params, &bindings, grid));
+        Ok(())
+    }
+}

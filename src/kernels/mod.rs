@@ -1,0 +1,225 @@
+//! Kernels: what runs an operation on a device. An operation may have several.
+//!
+//! A [`Kernel`] says whether it fits an adapter and the shapes, in which [`Layout`]s it reads and
+//! writes, and writes its [`Dispatch`]es into a [`Recording`]. It knows no device, and a picture at a
+//! time: `crate::lower` brings layouts and pictures together.
+
+mod convert;
+mod count;
+mod layout;
+mod recording;
+
+mod apply_gates;
+mod channel_gate;
+mod channel_pool;
+mod conv2d;
+mod crop_resize;
+mod decode_detections;
+mod decode_proposals;
+mod gather_rows;
+mod global_avg_pool;
+mod indirect_grid;
+mod linear;
+mod max_pool2d;
+mod nms;
+mod roi_align;
+mod scale_weights;
+mod softmax;
+mod spatial_gate;
+mod spatial_pool;
+mod top_k;
+mod upsample_bilinear;
+mod weighted_sum;
+
+use std::any::Any;
+use std::fmt::Debug;
+
+use crate::error::{Error, Result};
+use crate::graph::TensorId;
+use crate::ops::{Op, Tolerance};
+use crate::shader::{Shader, Variant};
+use crate::shape::TensorSpec;
+use crate::tensor::Value;
+
+pub(crate) use convert::Convert;
+pub use layout::{Layout, Quads};
+pub use recording::{
+    Command, Dispatch, Grid, MAX_WORKGROUPS, Recording, Role, Stage, Storage, TensorInfo,
+};
+
+/// What kernels ask of an adapter.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Caps {
+    /// Invocations of a subgroup where it has subgroups of one size.
+    pub subgroup: Option<u32>,
+    /// Longest side of a two-dimensional texture.
+    pub texture_side: u32,
+    /// Most bytes of a storage buffer that a shader binds.
+    pub buffer_bytes: u64,
+}
+
+impl Default for Caps {
+    /// What WebGPU promises.
+    fn default() -> Self {
+        Self { subgroup: None, texture_side: 8192, buffer_bytes: 128 << 20 }
+    }
+}
+
+/// An operation on inputs of known shapes, for which a kernel is sought.
+#[derive(Clone, Copy, Debug)]
+pub struct Work<'a> {
+    /// The operation.
+    pub op: &'a dyn Op,
+    /// Shapes of its inputs.
+    pub inputs: &'a [TensorSpec],
+    /// Whether the values of each input are known when recording.
+    pub known: &'a [bool],
+    /// Shapes of its outputs.
+    pub outputs: &'a [TensorSpec],
+    /// Pictures at a time.
+    pub batch: u32,
+    /// The adapter.
+    pub caps: &'a Caps,
+}
+
+impl<'a> Work<'a> {
+    /// The operation as what it is.
+    ///
+    /// # Errors
+    /// [`Error::Tensor`] for another: a kernel was put down for an operation that it does not compute.
+    pub fn op<T: Op>(&self) -> Result<&'a T> {
+        let any: &dyn Any = self.op;
+        let wrong =
+            || Error::tensor(self.op.name(), "kernel", std::any::type_name::<T>(), "another");
+        any.downcast_ref().ok_or_else(wrong)
+    }
+
+    /// Whether a map of this shape can lie as [`Layout::Quads`] and [`Layout::Texture`].
+    pub fn has_quads(&self, spec: &TensorSpec) -> bool {
+        Quads::of(spec, self.batch, self.caps).is_some()
+    }
+}
+
+/// One way to run an operation on a device.
+pub trait Kernel: Debug + Sync {
+    /// Its name: the operation's and its own, `conv2d/direct`.
+    fn id(&self) -> &'static str;
+
+    /// Its shaders in all variants that an adapter like `caps` may need.
+    fn shaders(&self, caps: &Caps) -> Vec<(&'static Shader, Variant)>;
+
+    /// Whether it runs `work`.
+    fn fits(&self, _work: &Work) -> bool {
+        true
+    }
+
+    /// Whether it is the one to run `work` where nothing was measured: asked of kernels that fit.
+    fn preferred(&self, _work: &Work) -> bool {
+        true
+    }
+
+    /// The layout in which it reads input `index`.
+    fn reads(&self, _work: &Work, _index: usize) -> Layout {
+        Layout::Planar
+    }
+
+    /// The layout in which it writes its outputs.
+    fn writes(&self, _work: &Work) -> Layout {
+        Layout::Planar
+    }
+
+    /// Whether one of its dispatches computes all pictures of a batch. Those of other kernels are
+    /// repeated for each picture.
+    fn batched(&self) -> bool {
+        false
+    }
+
+    /// Appends the dispatches that compute `outputs` from `inputs`, which lie as the kernel said.
+    ///
+    /// # Errors
+    /// [`Error::Capacity`] where a fixed capacity is too small.
+    fn record(
+        &self,
+        work: &Work,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()>;
+
+    /// How far its outputs may be from the reference's, where it orders its sums otherwise than
+    /// [`Op::tolerance`] says.
+    ///
+    /// # Errors
+    /// As the operation's reference.
+    fn tolerance(
+        &self,
+        _op: &dyn Op,
+        _inputs: &[&Value],
+        _reference: &[Value],
+    ) -> Result<Option<Vec<Tolerance>>> {
+        Ok(None)
+    }
+}
+
+/// The kernels of each operation, the preferred first. The last fits everything that its operation
+/// takes.
+static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
+    ("apply_gates", &[&apply_gates::Planar]),
+    ("channel_gate", &[&channel_gate::Planar]),
+    ("channel_pool", &[&channel_pool::Planar]),
+    ("conv2d", &[&conv2d::Planar]),
+    ("crop_resize", &[&crop_resize::Planar]),
+    ("decode_detections", &[&decode_detections::Planar]),
+    ("decode_proposals", &[&decode_proposals::Planar]),
+    ("gather_rows", &[&gather_rows::Planar]),
+    ("global_avg_pool", &[&global_avg_pool::Planar]),
+    ("indirect_grid", &[&indirect_grid::Planar]),
+    ("linear", &[&linear::Planar]),
+    ("max_pool2d", &[&max_pool2d::Planar]),
+    ("nms", &[&nms::Planar]),
+    ("roi_align", &[&roi_align::Planar]),
+    ("scale_weights", &[&scale_weights::Planar]),
+    ("softmax", &[&softmax::Planar]),
+    ("spatial_gate", &[&spatial_gate::Planar]),
+    ("spatial_pool", &[&spatial_pool::Planar]),
+    ("top_k", &[&top_k::Planar]),
+    ("upsample_bilinear", &[&upsample_bilinear::Planar]),
+    ("weighted_sum", &[&weighted_sum::Planar]),
+];
+
+/// The kernels of an operation, the preferred first.
+///
+/// # Errors
+/// [`Error::Tensor`] for an operation without any.
+pub fn of(op: &dyn Op) -> Result<&'static [&'static dyn Kernel]> {
+    match named(op.name()) {
+        [] => Err(Error::tensor(op.name(), "kernels", "at least one", "none")),
+        found => Ok(found),
+    }
+}
+
+/// The kernels of the operation called `name`; none if there is no such operation.
+pub fn named(name: &str) -> &'static [&'static dyn Kernel] {
+    KERNELS.iter().find(|(n, _)| *n == name).map_or(&[], |(_, kernels)| *kernels)
+}
+
+/// Every shader in all variants that an adapter like `caps` may need, once.
+pub fn shaders(caps: &Caps) -> Vec<(&'static Shader, Variant)> {
+    let mut found: Vec<(&'static Shader, Variant)> = Convert::shaders(caps);
+    for shader in all().flat_map(|kernel| kernel.shaders(caps)) {
+        if !found.iter().any(|(s, v)| s.stem == shader.0.stem && *v == shader.1) {
+            found.push(shader);
+        }
+    }
+    found
+}
+
+/// All kernels.
+pub fn all() -> impl Iterator<Item = &'static dyn Kernel> {
+    KERNELS.iter().flat_map(|(_, kernels)| kernels.iter().copied())
+}
+
+/// The kernel called `id`.
+pub fn find(id: &str) -> Option<&'static dyn Kernel> {
+    all().find(|kernel| kernel.id() == id)
+}

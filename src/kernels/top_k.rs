@@ -1,0 +1,91 @@
+//! The k highest scores and where they are.
+
+use crate::error::{Error, Result};
+use crate::graph::TensorId;
+use crate::kernels::count::count_tensor;
+use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::ops::TopK;
+use crate::ops::top_k::layout;
+use crate::shader::{Shader, Variant, shader_params};
+
+shader_params! {
+    struct Params {
+        channels: u32,
+        area: u32,
+        k: u32,
+        sort_size: u32,
+    }
+}
+
+static SHADER: Shader =
+    Shader { stem: "top_k", source: include_str!("../../wgsl/top_k.wgsl"), params: PARAMS };
+
+/// Pairs that the shader sorts in workgroup memory.
+const MAX_K: usize = 1024;
+
+/// Scores whose index fits in the shader's 24 bits.
+const MAX_SCORES: usize = 1 << 24;
+
+/// The definition, on planar maps.
+#[derive(Debug)]
+pub(super) struct Planar;
+
+impl Kernel for Planar {
+    fn id(&self) -> &'static str {
+        "top_k/planar"
+    }
+
+    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
+        vec![(&SHADER, Variant::default())]
+    }
+
+    fn record(
+        &self,
+        work: &Work,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let op: &TopK = work.op()?;
+        record(op.k, recording, inputs, outputs)
+    }
+}
+
+/// Appends what finds the `most` best.
+pub(super) fn record(
+    most: usize,
+    recording: &mut Recording,
+    inputs: &[TensorId],
+    outputs: &[TensorId],
+) -> Result<()> {
+    let n = recording.info(inputs[0]).spec.shape.elements();
+    let (channels, area) = layout(recording.dims(inputs[0])).unwrap_or((1, n));
+    let k = most.min(n);
+    let limits = [("scores to sort (`k` of top_k)", k, MAX_K), ("scores", n, MAX_SCORES)];
+    for (what, needed, available) in limits {
+        if needed > available {
+            return Err(Error::Capacity {
+                what: what.into(),
+                needed: needed as u64,
+                available: available as u64,
+            });
+        }
+    }
+    let count = count_tensor(recording, inputs.get(1).copied(), n);
+    let params = Params {
+        channels: channels as u32,
+        area: area as u32,
+        k: k as u32,
+        sort_size: k.next_power_of_two() as u32,
+    };
+    let bindings = [
+        ("scores", inputs[0]),
+        ("input_count", count),
+        ("values", outputs[0]),
+        ("indices", outputs[1]),
+        ("output_count", outputs[2]),
+    ];
+    let grid = Grid::Workgroups([1, 1, 1]);
+    recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
+    Ok(())
+}

@@ -1,0 +1,66 @@
+//! Which kernel runs what.
+
+use std::collections::BTreeMap;
+
+use crate::error::{Error, Result};
+use crate::kernels::{self, Kernel, Work};
+
+/// Which kernel runs an operation on given shapes. What it does not name, it leaves to the order in
+/// which the kernels prefer themselves.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Choice {
+    /// Kernel by operation and shapes, as [`Choice::key`] writes them.
+    pub by_shape: BTreeMap<String, String>,
+    /// Kernels that run whatever they fit.
+    pub forced: Vec<String>,
+}
+
+impl Choice {
+    /// The choice that forces one kernel wherever it fits.
+    ///
+    /// # Errors
+    /// [`Error::Param`] for a kernel that does not exist.
+    pub fn force(id: &str) -> Result<Self> {
+        match kernels::find(id) {
+            Some(_) => Ok(Self { forced: vec![id.into()], ..Self::default() }),
+            None => {
+                let known: Vec<_> = kernels::all().map(|k| k.id()).collect();
+                Err(Error::param("choice", "kernel", known.join(", "), format!("`{id}`")))
+            }
+        }
+    }
+
+    /// An operation with its parameters and shapes.
+    pub fn key(work: &Work) -> String {
+        let settings = work.op.settings();
+        let settings = settings.iter().map(|(name, value)| format!("{name}={value}"));
+        let shapes = work.inputs.iter().map(ToString::to_string);
+        let words = settings.chain(shapes).collect::<Vec<_>>().join(" ");
+        format!("{} {words} x{}", work.op.name(), work.batch)
+    }
+
+    /// The kernel for `work`.
+    ///
+    /// # Errors
+    /// [`Error::Tensor`] where none fits.
+    pub fn kernel(&self, work: &Work) -> Result<&'static dyn Kernel> {
+        let fitting = || kernels::of(work.op).map(|all| all.iter().filter(|k| k.fits(work)));
+        if let Some(kernel) = fitting()?.find(|k| self.forced.iter().any(|id| id == k.id())) {
+            return Ok(*kernel);
+        }
+        if let Some(id) = self.by_shape.get(&Self::key(work))
+            && let Some(kernel) = fitting()?.find(|k| k.id() == id)
+        {
+            return Ok(*kernel);
+        }
+        let mut fitting = fitting()?;
+        let none = || Error::tensor(work.op.name(), "kernels", "one that fits", "none");
+        let preferred = fitting.find(|k| k.preferred(work)).copied();
+        preferred.or_else(|| fitting_last(work)).ok_or_else(none)
+    }
+}
+
+/// The last kernel that fits: the plainest.
+fn fitting_last(work: &Work) -> Option<&'static dyn Kernel> {
+    kernels::of(work.op).ok()?.iter().rfind(|k| k.fits(work)).copied()
+}

@@ -36,14 +36,13 @@ struct Params {
     weight_width: u32,
     has_residual: u32,
     relu: u32,
+    pad0: u32,
+    pad1: u32,
+    pad2: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-#if BUFFER
-@group(0) @binding(1) var<storage, read> input: array<vec4<f32>>;
-#else
 @group(0) @binding(1) var input: texture_storage_2d<rgba32float, read>;
-#endif
 // A texel is one output's weights of four input channels, zero in the padding. Texels lie as they are
 // read: by tile, quad of inputs, row of the kernel, tap, output of the tile.
 @group(0) @binding(2) var weight: texture_storage_2d<rgba32float, read>;
@@ -175,14 +174,6 @@ fn texels(sums: Sums) -> array<vec4<f32>, 8> {
 }
 #endif
 
-fn load(column: u32, row: u32) -> vec4<f32> {
-#if BUFFER
-    return input[texel_index(params.input, vec2<u32>(column, row))];
-#else
-    return textureLoad(input, vec2<u32>(column, row));
-#endif
-}
-
 @compute @workgroup_size(WORKGROUP)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
@@ -246,7 +237,7 @@ fn main(
                     var strip: Strip;
                     for (var j = 0u; j < SPAN; j++) {
                         let in_x = first_column + j * step;
-                        let x = load(corner.x + min(in_x, width - 1u), row);
+                        let x = textureLoad(input, vec2<u32>(corner.x + min(in_x, width - 1u), row));
                         strip[j] = select(vec4<f32>(), x, (in_y < height) & (in_x < width));
                     }
                     part = add_tap(part, at, lane, &strip, 0u);

@@ -28,7 +28,7 @@ use rand::seq::SliceRandom;
 use smr_gpu::check::check_expected;
 use smr_gpu::gpu::{Gpu, GpuOptions};
 use smr_gpu::ops::{Case, Entry, Expected};
-use smr_gpu::{Config, GpuDetector};
+use smr_gpu::{Config, Frame, GpuDetector};
 
 /// Longest run of one shader.
 const RUN: Duration = Duration::from_secs(60);
@@ -319,7 +319,7 @@ fn differs(gpu: &Arc<Gpu>) -> Result<Option<bool>, Box<dyn Error>> {
     config.score = 0.5;
     let picture = image::open(root.join("samples/mixed.png"))?;
     let detector = pollster::block_on(GpuDetector::on_device(gpu.clone(), config))?;
-    Ok(match detector.compare(&picture) {
+    Ok(match detector.compare(&Frame::from(&picture)) {
         Ok(found) => Some(found.failures().next().is_some()),
         Err(smr_gpu::Error::Timeout { .. }) => None,
         Err(_) => Some(true),

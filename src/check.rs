@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use crate::error::{Error, Result};
-use crate::gpu::{Gpu, Poison, Profile, Program, ProgramOptions, Slot};
+use crate::gpu::{Deadline, Gpu, Poison, Profile, Program, ProgramOptions, Slot};
 use crate::graph::{Graph, TensorId};
 use crate::kernels::{self, Kernel, Layout, Work};
 use crate::lower::{Choice, Lowered, Request, lower};
@@ -207,7 +207,8 @@ impl Single {
             .collect();
         let inputs: Vec<&[(TensorId, &Value)]> = inputs.iter().map(Vec::as_slice).collect();
         self.slot.submit(&inputs)?;
-        let run = self.slot.receive()?;
+        let deadline = Deadline::after(self.slot.program().gpu().timeout());
+        let run = pollster::block_on(self.slot.receive(deadline))?;
         run.values.into_iter().map(|values| self.collect(values)).collect()
     }
 

@@ -4,6 +4,7 @@
 //! cannot drift apart.
 
 use std::collections::HashMap;
+use std::fmt;
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
@@ -18,10 +19,12 @@ pub struct TensorId(pub usize);
 
 /// Time that one stage took.
 #[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct StageTime {
     /// Stage name.
     pub stage: String,
-    /// Time on the device.
+    /// Time on the device; serialised as `ms`.
+    #[cfg_attr(feature = "serde", serde(rename = "ms", with = "crate::milliseconds"))]
     pub time: Duration,
 }
 
@@ -71,12 +74,21 @@ pub struct Step<'a> {
 }
 
 /// Operations over tensors, in an order in which each reads only what came before.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub struct Graph {
     tensors: Vec<GraphTensor>,
     nodes: Vec<Node>,
     stages: Vec<String>,
     outputs: Vec<TensorId>,
+}
+
+impl fmt::Debug for Graph {
+    /// A line: how much there is.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { tensors, nodes, stages, .. } = self;
+        let (nodes, stages, tensors) = (nodes.len(), stages.len(), tensors.len());
+        write!(f, "Graph({nodes} operations in {stages} stages, {tensors} tensors)")
+    }
 }
 
 impl Graph {
@@ -184,6 +196,20 @@ impl Graph {
     /// Name of a tensor.
     pub fn name(&self, id: TensorId) -> &str {
         &self.tensors[id.0].name
+    }
+
+    /// Forgets how to make the values of the constants, where they are on a device for good: only what
+    /// was lowered already can run.
+    pub(crate) fn forget_constants(&mut self) {
+        for tensor in &mut self.tensors {
+            if let Source::Constant { constant, kept } = &mut tensor.source {
+                let name = tensor.name.clone();
+                *constant = Constant::made(constant.spec().clone(), move || {
+                    Err(Error::tensor("graph", &name, "a constant", "one that was forgotten"))
+                });
+                *kept = OnceLock::new();
+            }
+        }
     }
 
     /// Makes the values of the constants and keeps them, as the references need them.

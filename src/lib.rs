@@ -6,6 +6,7 @@
 //! non-maximum suppression, is a WGSL compute shader; a picture takes one submit and one readback.
 //!
 //! ```no_run
+//! # #[cfg(feature = "picture")] {
 //! use smr_gpu::{Config, GpuDetector, picture};
 //!
 //! let detector = GpuDetector::new(Config::new("weights/smrnet.safetensors"))?;
@@ -13,8 +14,23 @@
 //! for snap in detector.detect(&picture)?.detections {
 //!     println!("{} {:.2} at {:?} mm", snap.class, snap.score, snap.center_mm);
 //! }
+//! # }
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+//!
+//! # Features
+//! A program that embeds the detector and has its pictures in memory needs none of these
+//! (`default-features = false`): [`GpuDetector::detect_frame`] takes a camera's bytes.
+//!
+//! | feature | what it adds |
+//! |---|---|
+//! | `image` | [`GpuDetector::detect`], which takes the pictures of the crate [`image`] |
+//! | `picture` | [`picture`]: pictures from PNG, JPEG, BMP and TIFF files; with `image` |
+//! | `cpu` | [`Device::Cpu`]: the network on this machine's cores, by [`host`] |
+//! | `serde` | [`Detections`] and what is in them can be serialised |
+//! | `eval` | [`coco`] and [`metrics`]: labelled pictures, and how well a detector does on them |
+//! | `simulator` | [`sensor`]: the simulated sensor; with `picture` |
+//! | `cli` (default) | the program `smr-gpu`; with all of the others |
 //!
 //! # Architecture
 //! Imports run one way, from top to bottom:
@@ -30,6 +46,7 @@
 //! | [`host`] | the graph in f32 on this machine's CPU, for machines without an adapter |
 //! | [`model`] | SMR-Net's stages, its configuration and its weights |
 //! | [`comparison`] | the whole network on a device, by operation and by outcome, against the reference |
+//! | [`frame`] | pictures in memory, as cameras give them |
 //! | [`detector`] | [`GpuDetector`] |
 //! | [`picture`] | pictures from files that nobody vouches for |
 //! | [`sensor`] | the simulated sensor: gel, contact, optics, camera, snaps |
@@ -48,21 +65,29 @@
 #![warn(missing_docs)]
 
 pub mod check;
+#[cfg(feature = "eval")]
 pub mod coco;
 pub mod comparison;
 pub mod cpu;
 pub mod detector;
 pub mod error;
 pub mod files;
+pub mod frame;
 pub mod gpu;
 pub mod graph;
+#[cfg(feature = "cpu")]
 pub mod host;
 pub mod kernels;
 pub mod lower;
+#[cfg(feature = "eval")]
 pub mod metrics;
+#[cfg(feature = "serde")]
+mod milliseconds;
 pub mod model;
 pub mod ops;
+#[cfg(feature = "picture")]
 pub mod picture;
+#[cfg(feature = "simulator")]
 pub mod sensor;
 pub mod shader;
 pub mod shape;
@@ -70,8 +95,12 @@ pub mod tensor;
 
 pub use detector::{Comparison, Config, Detection, Detections, Device, GpuDetector, WeightSource};
 pub use error::{Error, Result};
+pub use frame::{Frame, PixelFormat, Rect};
+/// The crate whose pictures [`GpuDetector::detect`] takes.
+#[cfg(feature = "image")]
+pub use image;
 
 /// The README's example runs as a test.
-#[cfg(doctest)]
+#[cfg(all(doctest, feature = "picture"))]
 #[doc = include_str!("../README.md")]
 struct Readme;

@@ -7,7 +7,7 @@ use crate::error::{Error, Result};
 use crate::shape::{DType, Shape, TensorSpec};
 
 /// A dense row-major tensor; pictures and feature maps are `[C, H, W]`.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, PartialEq)]
 pub struct Tensor<T = f32> {
     shape: Shape,
     data: Vec<T>,
@@ -72,8 +72,26 @@ impl<T: Copy + Default> Tensor<T> {
     }
 }
 
+/// Values that `{:?}` of a tensor shows.
+const SHOWN: usize = 8;
+
+impl<T: fmt::Debug> fmt::Debug for Tensor<T> {
+    /// A line: shape, and the first values.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}{}(", std::any::type_name::<T>(), self.shape)?;
+        for (i, value) in self.data.iter().take(SHOWN).enumerate() {
+            let comma = if i == 0 { "" } else { ", " };
+            write!(f, "{comma}{value:?}")?;
+        }
+        match self.data.len().saturating_sub(SHOWN) {
+            0 => f.write_str(")"),
+            more => write!(f, ", and {more} more)"),
+        }
+    }
+}
+
 /// A tensor of either element type.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, PartialEq)]
 pub enum Value {
     /// Floats.
     F32(Tensor<f32>),
@@ -152,6 +170,15 @@ impl Value {
     }
 }
 
+impl fmt::Debug for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::F32(t) => t.fmt(f),
+            Self::U32(t) => t.fmt(f),
+        }
+    }
+}
+
 impl From<Tensor<f32>> for Value {
     fn from(t: Tensor<f32>) -> Self {
         Self::F32(t)
@@ -214,5 +241,21 @@ impl<T: Into<Value>> From<T> for Constant {
     fn from(value: T) -> Self {
         let value = Arc::new(value.into());
         Self { spec: value.spec(), make: Arc::new(move || Ok(value.clone())) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_for_people() {
+        let small: Value = Tensor::from_fn([2, 2], |i| i as f32 / 2.0).into();
+        assert_eq!(format!("{small:?}"), "f32[2, 2](0.0, 0.5, 1.0, 1.5)");
+        let large: Value = Tensor::from_fn([512, 512, 3, 3], |i| i as u32).into();
+        let want = "u32[512, 512, 3, 3](0, 1, 2, 3, 4, 5, 6, 7, and 2359288 more)";
+        assert_eq!(format!("{large:?}"), want);
+        // Nor does the form with line breaks list them.
+        assert_eq!(format!("{large:#?}"), want);
     }
 }

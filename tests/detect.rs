@@ -5,8 +5,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::Deserialize;
+use smr_gpu::gpu::AdapterChoice;
 use smr_gpu::metrics::{box_iou, center};
-use smr_gpu::{Config, Detections, Device, Error, GpuDetector, WeightSource};
+use smr_gpu::{
+    Config, Detections, Device, Error, Frame, GpuDetector, PixelFormat, Rect, WeightSource,
+};
 
 /// COCO labels, as far as these tests read them.
 #[derive(Deserialize)]
@@ -42,6 +45,7 @@ fn file(path: &str) -> PathBuf {
 
 fn config() -> Config {
     let mut config = Config::new(file("weights/smrnet.safetensors"));
+    config.device = Device::Gpu(AdapterChoice::Auto);
     config.score = 0.5;
     config
 }
@@ -104,7 +108,7 @@ fn one_detector_serves_threads_and_pictures_of_any_size() {
     let first = detector.detect(&picture).expect("detections");
 
     // The same picture in a wide frame: the network sees the same square, so the same boxes come
-    // back, moved; and a picture larger than the first makes the detector grow.
+    // back, moved.
     let side = picture.width();
     let mut wide = image::RgbImage::new(side + 240, side);
     image::imageops::replace(&mut wide, &picture.to_rgb8(), 120, 0);
@@ -125,6 +129,45 @@ fn one_detector_serves_threads_and_pictures_of_any_size() {
             assert_same(&first, &thread.join().expect("no panic"));
         }
     });
+}
+
+/// A camera's buffer: padded rows, blue first, and the gel in a part of it off the middle.
+#[test]
+fn a_frame_gives_what_its_picture_gives() {
+    let detector = GpuDetector::new(config()).expect("a detector");
+    let picture = sample(&samples().images[0]).to_rgb8();
+    let (side, [left, top], stride) = (picture.width(), [40, 12], 3 * 1100 + 4);
+    assert_eq!(picture.height(), side);
+    let height = side + 20;
+    let mut data = vec![0; stride * height as usize];
+    for (x, y, pixel) in picture.enumerate_pixels() {
+        let at = (y + top) as usize * stride + 3 * (x + left) as usize;
+        let [r, g, b] = pixel.0;
+        data[at..at + 3].copy_from_slice(&[b, g, r]);
+    }
+    let frame = Frame::new(&data, 1100, height, PixelFormat::Bgr8).stride(stride).crop(Rect {
+        x: left,
+        y: top,
+        width: side,
+        height: side,
+    });
+    let want = detector.detect(&picture.into()).expect("detections").detections;
+    let found = detector.detect_frame(&frame).expect("detections");
+    assert_eq!((found.width, found.height), (1100, height));
+    assert!(!want.is_empty());
+    assert_eq!(found.detections.len(), want.len());
+    for (a, b) in want.iter().zip(&found.detections) {
+        assert_eq!((&a.class, a.score), (&b.class, b.score));
+        assert_eq!(detector.model().classes[b.class_index], b.class);
+        let moved = [left, top, left, top].map(|v| v as f32);
+        for (i, by) in moved.into_iter().enumerate() {
+            assert!((b.bbox[i] - a.bbox[i] - by).abs() < 1e-3, "{a:?} {b:?}");
+        }
+        let off = [0, 1].map(|i| (a.center_mm[i] - b.center_mm[i]).abs());
+        assert!(off.iter().all(|mm| *mm < 1e-4), "{a:?} {b:?}");
+    }
+    let error = detector.detect_frame(&Frame::new(&data[..9], 2, 2, PixelFormat::Rgb8));
+    assert!(matches!(error, Err(Error::Param { ref param, .. }) if param == "data"), "{error:?}");
 }
 
 #[test]

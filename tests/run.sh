@@ -64,10 +64,31 @@ have_adapter() {
     fi
 }
 
+# Each feature alone compiles, and a program that embeds the detector gets few crates with it.
+most_crates=85
+features() {
+    local feature
+    for feature in "" image picture cpu serde eval simulator; do
+        cargo clippy --locked --release --lib --no-default-features --features "$feature" \
+            -- -D warnings
+    done
+    # With the tests that need no feature.
+    cargo clippy --locked --release --all-targets --no-default-features -- -D warnings
+}
+crates() {
+    local found
+    found=$(cargo tree --locked -e normal --prefix none --no-dedupe --no-default-features |
+        sort -u | wc -l)
+    echo "$found crates without features, at most $most_crates"
+    [ "$found" -le "$most_crates" ]
+}
+
 step format cargo fmt --check
 step build cargo build --locked --release
 step adapter have_adapter
 step clippy cargo clippy --locked --release --all-targets -- -D warnings
+step features features
+step crates crates
 RUSTDOCFLAGS="-D warnings" step docs cargo doc --locked --release --no-deps
 if command -v cargo-deny >/dev/null; then
     step deny cargo deny --locked check bans licenses sources
@@ -79,4 +100,4 @@ step overflow cargo test --locked --release --lib --test cli \
     --config profile.release.package.smr-gpu.debug-assertions=true
 # Under its name there is the program with those checks now: put the other one back.
 cargo build --locked --release
-step shaders "$smr_gpu" check
+step shaders "$smr_gpu" check --device gpu

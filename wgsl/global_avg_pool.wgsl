@@ -7,6 +7,8 @@ struct Params {
     channels: u32,
     area: u32,
     first: u32,
+    // Always 0; see shared/reduce.wgsl.
+    zero: u32,
 }
 
 const WORKGROUP: u32 = 64u;

@@ -9,6 +9,8 @@
 struct Params {
     height: u32,
     width: u32,
+    // Always 0: bounds that the compiler does not know keep it from unrolling loops.
+    zero: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -37,8 +39,8 @@ fn main(
     let y = index / quads;
     let x = (index - y * quads) * 4u;
     var logits = vec4<f32>(bias[0]);
-    for (var plane = 0u; plane < 2u; plane++) {
-        for (var ky = 0u; ky < 7u; ky++) {
+    for (var plane = 0u; plane < 2u + params.zero; plane++) {
+        for (var ky = 0u; ky < 7u + params.zero; ky++) {
             let iy = y + ky - 3u;
             if iy >= params.height {
                 continue;
@@ -47,13 +49,13 @@ fn main(
             let taps = (plane * 7u + ky) * 7u;
             var window = vec4<f32>(
                 value(row, x - 3u), value(row, x - 2u), value(row, x - 1u), value(row, x));
-            for (var kx = 0u; kx < 7u; kx++) {
+            for (var kx = 0u; kx < 7u + params.zero; kx++) {
                 logits = fma(vec4<f32>(weight[taps + kx]), window, logits);
                 window = vec4<f32>(window.yzw, value(row, x + kx + 1u));
             }
         }
     }
-    for (var i = 0u; i < 4u; i++) {
+    for (var i = 0u; i < 4u + params.zero; i++) {
         if x + i < params.width {
             output[y * params.width + x + i] = sigmoid(logits[i]);
         }

@@ -9,6 +9,8 @@
 struct Params {
     channels: u32,
     area: u32,
+    // Always 0; see shared/reduce.wgsl.
+    zero: u32,
 }
 
 const WORKGROUP: u32 = 256u;

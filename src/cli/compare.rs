@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use serde::Serialize;
-use smr_gpu::{Comparison, GpuDetector};
+use smr_gpu::{Comparison, Device, Frame, GpuDetector};
 
 use super::detector::{DetectorArgs, fraction, gpu_only};
 use super::exit::{Exit, Failure};
@@ -66,7 +66,7 @@ struct Stage<'a> {
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let (sources, mut exit) = expand_all(&args.sources)?;
     let mut config = args.detector.config()?;
-    gpu_only(&config.device)?;
+    config.device = Device::Gpu(gpu_only(&config.device)?.clone());
     if sources.is_empty() {
         return Ok(exit);
     }
@@ -104,7 +104,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
 fn compare(detector: &GpuDetector, source: &Source) -> Result<Comparison, Failure> {
     let picture = picture::read(source)
         .map_err(|message| Failure::new(Exit::Inputs, format!("{source}: {message}")))?;
-    detector.compare(&picture).map_err(|e| Failure::about(source, &e))
+    detector.compare(&Frame::from(&picture)).map_err(|e| Failure::about(source, &e))
 }
 
 fn milliseconds(time: Duration) -> f64 {

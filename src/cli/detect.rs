@@ -2,13 +2,14 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use image::DynamicImage;
 use serde::Serialize;
 use smr_gpu::detector::Stages;
 use smr_gpu::files::Outputs;
-use smr_gpu::{Detections, GpuDetector, WeightSource};
+use smr_gpu::graph::StageTime;
+use smr_gpu::{Detection, Detections, Frame, GpuDetector, WeightSource};
 
 use super::detector::{self, DetectorArgs, fraction};
 use super::draw::{Artist, Gallery};
@@ -65,30 +66,15 @@ struct Record<'a> {
     file: String,
     width: u32,
     height: u32,
-    detections: Vec<Snap<'a>>,
+    detections: &'a [Detection],
     timings_ms: Timings<'a>,
     adapter: &'a str,
 }
 
 #[derive(Serialize)]
-struct Snap<'a> {
-    class: &'a str,
-    score: f32,
-    #[serde(rename = "box")]
-    bbox: [f32; 4],
-    center_mm: [f32; 2],
-}
-
-#[derive(Serialize)]
 struct Timings<'a> {
-    stages: Vec<StageMs<'a>>,
+    stages: &'a [StageTime],
     total: f64,
-}
-
-#[derive(Serialize)]
-struct StageMs<'a> {
-    stage: &'a str,
-    ms: f64,
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
@@ -177,7 +163,7 @@ fn look(
     args: &Args,
 ) -> Result<(Detections, Stages), Failure> {
     let result = match args.dump_stages {
-        Some(_) => detector.detect_with_stages(picture),
+        Some(_) => detector.detect_with_stages(&Frame::from(picture)),
         None => detector.detect(picture).map(|found| (found, Vec::new())),
     };
     result.map_err(|e| Failure::about(source, &e))
@@ -208,25 +194,14 @@ fn told(result: Result<(), Failure>) -> Exit {
 }
 
 fn record<'a>(source: &Source, found: &'a Detections, adapter: &'a str) -> Record<'a> {
-    let snap = |d: &'a smr_gpu::Detection| Snap {
-        class: &d.class,
-        score: d.score,
-        bbox: d.bbox,
-        center_mm: d.center_mm,
-    };
-    let stages = found.stages.iter().map(|s| StageMs { stage: &s.stage, ms: ms(s.time) }).collect();
     Record {
         file: source.to_string(),
         width: found.width,
         height: found.height,
-        detections: found.detections.iter().map(snap).collect(),
-        timings_ms: Timings { stages, total: ms(found.wall) },
+        detections: &found.detections,
+        timings_ms: Timings { stages: &found.stages, total: found.wall.as_secs_f64() * 1e3 },
         adapter,
     }
-}
-
-fn ms(time: Duration) -> f64 {
-    time.as_secs_f64() * 1e3
 }
 
 /// The table for people: a line a snap, or one for a picture without.

@@ -169,7 +169,7 @@ mod tests {
     use super::*;
 
     fn detection(bbox: [f32; 4]) -> Detection {
-        Detection { class: "B".into(), score: 0.987, bbox, center_mm: [0.0; 2] }
+        Detection { class: "B".into(), class_index: 1, score: 0.987, bbox, center_mm: [0.0; 2] }
     }
 
     /// The coloured pixels' bounding box: columns and rows, ends included.

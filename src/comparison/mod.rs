@@ -22,7 +22,7 @@
 //! PyTorch drifts as far.
 
 mod choice;
-#[cfg(test)]
+#[cfg(all(test, feature = "picture"))]
 mod faults;
 mod tensor;
 

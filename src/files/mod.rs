@@ -5,9 +5,11 @@
 //! for its other end, a device may never end.
 
 mod read;
+#[cfg(feature = "simulator")]
 mod write;
 
 pub use read::{open, read};
+#[cfg(feature = "simulator")]
 pub use write::{Error, Outputs, check, remove_unfinished, write};
 
 use std::fs::FileType;

@@ -44,7 +44,6 @@ enum Place {
 }
 
 /// A graph with its weights packed and its buffers allocated.
-#[derive(Debug)]
 pub struct HostPlan {
     steps: Vec<Step>,
     places: HashMap<Version, Place>,
@@ -56,6 +55,12 @@ pub struct HostPlan {
     /// What is given back, each in the layout in which it is computed.
     wanted: Vec<Version>,
     stages: Vec<String>,
+}
+
+impl std::fmt::Debug for HostPlan {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "HostPlan({} steps, {} buffers)", self.steps.len(), self.slots.len())
+    }
 }
 
 impl HostPlan {

@@ -10,6 +10,7 @@ shader_params! {
     struct Params {
         channels: u32,
         area: u32,
+        zero: u32,
     }
 }
 
@@ -41,7 +42,7 @@ impl Kernel for Planar {
     ) -> Result<()> {
         let _op: &ChannelPool = work.op()?;
         let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
-        let params = Params { channels, area: height * width };
+        let params = Params { channels, area: height * width, zero: 0 };
         let bindings = [("input", inputs[0]), ("output", outputs[0])];
         let grid = Grid::linear(channels as usize, 1);
         recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));

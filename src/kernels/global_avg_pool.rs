@@ -11,6 +11,7 @@ shader_params! {
         channels: u32,
         area: u32,
         first: u32,
+        zero: u32,
     }
 }
 
@@ -44,7 +45,7 @@ impl Kernel for Planar {
         let mut first = 0;
         for input in inputs {
             let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(*input)[i] as u32);
-            let params = Params { channels, area: height * width, first };
+            let params = Params { channels, area: height * width, first, zero: 0 };
             let bindings = [("input", *input), ("output", outputs[0])];
             let grid = Grid::linear(channels as usize, 1);
             recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));

@@ -10,6 +10,7 @@ shader_params! {
     struct Params {
         channels: u32,
         area: u32,
+        zero: u32,
     }
 }
 
@@ -44,7 +45,7 @@ impl Kernel for Planar {
     ) -> Result<()> {
         let _op: &SpatialPool = work.op()?;
         let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
-        let params = Params { channels, area: height * width };
+        let params = Params { channels, area: height * width, zero: 0 };
         let bindings = [("input", inputs[0]), ("channel_gate", inputs[1]), ("output", outputs[0])];
         let grid = Grid::linear(params.area as usize, PIXELS as u32);
         recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));

@@ -24,7 +24,6 @@ use crate::shape::{Extent, TensorSpec};
 pub const MAX_PIXELS: usize = (128 << 20) / 4;
 
 /// The whole network as a graph, with the ids of what goes in and comes out.
-#[derive(Debug)]
 pub struct Network {
     /// The operations.
     pub graph: Graph,
@@ -54,6 +53,15 @@ pub struct Network {
     pub detections: Choice,
     /// Outputs of the heads, by which a value that is not finite is noticed.
     pub witnesses: Vec<Witness>,
+}
+
+impl std::fmt::Debug for Network {
+    /// A line: what it takes and knows, and how much there is.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let ModelConfig { input_size, classes, .. } = &self.config;
+        let classes = classes.join(", ");
+        write!(f, "Network({input_size} × {input_size}, classes {classes}, {:?})", self.graph)
+    }
 }
 
 /// A choice by non-maximum suppression. What it chooses from has a row for each of N.

@@ -28,9 +28,12 @@ pub fn dot(a: &[f32], b: &[f32]) -> f64 {
 
 const LANES: usize = 16;
 
-/// Runs `work` compiled for the widest registers that this CPU has. Every operation rounds as it
-/// does elsewhere.
+/// Runs `work` compiled for the widest registers that this CPU has, or without the feature `cpu` for
+/// those that all its kind have. Every operation rounds as it does elsewhere.
 #[inline]
 pub fn vectorised<R>(work: impl FnOnce() -> R) -> R {
-    pulp::Arch::new().dispatch(work)
+    #[cfg(feature = "cpu")]
+    return pulp::Arch::new().dispatch(work);
+    #[cfg(not(feature = "cpu"))]
+    work()
 }

@@ -1,0 +1,427 @@
+//! Pictures in memory, as a camera or another program gives them.
+//!
+//! A [`Frame`] is bytes with a width, a height, the distance between rows and a [`PixelFormat`]. The
+//! network sees its largest centred square, or that of the part that [`Frame::crop`] names; nothing
+//! else is converted.
+
+use std::borrow::Cow;
+use std::fmt;
+
+use crate::error::{Error, Result};
+use crate::model::MAX_PIXELS;
+
+/// How pixels lie in memory, 8 bits a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum PixelFormat {
+    /// Red, green, blue.
+    Rgb8,
+    /// Blue, green, red, as OpenCV has it.
+    Bgr8,
+    /// Red, green, blue, and alpha, which is ignored.
+    Rgba8,
+    /// Blue, green, red, and alpha, which is ignored.
+    Bgra8,
+    /// Grey, taken as all three colours.
+    Gray8,
+    /// One colour a pixel, as the sensor behind a Bayer filter has it. The first two letters are the
+    /// first two pixels of the frame's first row, the others those of its second row. A pixel's other
+    /// colours are interpolated bilinearly: the mean of the nearest samples of that colour, which lie
+    /// beside or diagonally to it; at the frame's edge, of those that there are.
+    BayerRggb8,
+    /// As [`PixelFormat::BayerRggb8`], in another order.
+    BayerBggr8,
+    /// As [`PixelFormat::BayerRggb8`], in another order.
+    BayerGrbg8,
+    /// As [`PixelFormat::BayerRggb8`], in another order.
+    BayerGbrg8,
+}
+
+impl PixelFormat {
+    /// Bytes of a pixel.
+    pub fn bytes_per_pixel(self) -> usize {
+        match self {
+            Self::Rgb8 | Self::Bgr8 => 3,
+            Self::Rgba8 | Self::Bgra8 => 4,
+            _ => 1,
+        }
+    }
+
+    /// The colour (0 red, 1 green, 2 blue) of each pixel of the first two rows' first two columns.
+    fn mosaic(self) -> Option<[[usize; 2]; 2]> {
+        match self {
+            Self::BayerRggb8 => Some([[0, 1], [1, 2]]),
+            Self::BayerBggr8 => Some([[2, 1], [1, 0]]),
+            Self::BayerGrbg8 => Some([[1, 0], [2, 1]]),
+            Self::BayerGbrg8 => Some([[1, 2], [0, 1]]),
+            _ => None,
+        }
+    }
+}
+
+/// A part of a picture, in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Rect {
+    /// Column of the left edge.
+    pub x: u32,
+    /// Row of the upper edge.
+    pub y: u32,
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+/// A picture in memory.
+///
+/// ```
+/// use smr_gpu::{Frame, PixelFormat, Rect};
+///
+/// // A camera's buffer whose rows are padded to 256 bytes.
+/// let buffer = vec![0; 256 * 48];
+/// let frame = Frame::new(&buffer, 64, 48, PixelFormat::Bgr8)
+///     .stride(256)
+///     .crop(Rect { x: 8, y: 0, width: 48, height: 48 });
+/// assert_eq!((frame.width, frame.stride), (64, 256));
+/// ```
+#[derive(Clone)]
+#[non_exhaustive]
+pub struct Frame<'a> {
+    /// The pixels' bytes, row by row from the top; the last row may end with its last pixel.
+    pub data: Cow<'a, [u8]>,
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Bytes from the start of a row to that of the next.
+    pub stride: usize,
+    /// What the bytes mean.
+    pub format: PixelFormat,
+    /// The part that shows the gel; `None` for all of it. Positions in millimetres are from its
+    /// middle, boxes in pixels of the whole frame.
+    pub crop: Option<Rect>,
+}
+
+impl<'a> Frame<'a> {
+    /// A frame whose rows follow one another without a gap.
+    pub fn new(
+        data: impl Into<Cow<'a, [u8]>>,
+        width: u32,
+        height: u32,
+        format: PixelFormat,
+    ) -> Self {
+        let stride = (width as usize).saturating_mul(format.bytes_per_pixel());
+        Self { data: data.into(), width, height, stride, format, crop: None }
+    }
+
+    /// The same with rows that begin `bytes` apart.
+    pub fn stride(mut self, bytes: usize) -> Self {
+        self.stride = bytes;
+        self
+    }
+
+    /// The same of which `part` shows the gel.
+    pub fn crop(mut self, part: Rect) -> Self {
+        self.crop = Some(part);
+        self
+    }
+
+    /// The part that shows the gel.
+    pub(crate) fn part(&self) -> Rect {
+        let whole = Rect { x: 0, y: 0, width: self.width, height: self.height };
+        self.crop.unwrap_or(whole)
+    }
+
+    /// The pixels that the network sees, once it is sure that they are there.
+    ///
+    /// # Errors
+    /// [`Error::Picture`] for an empty frame; [`Error::Param`] for a crop, a stride or a buffer that
+    /// does not hold what it must; [`Error::Capacity`] for more than [`MAX_PIXELS`].
+    pub(crate) fn square(&self) -> Result<Square> {
+        let Self { width, height, .. } = *self;
+        if width == 0 || height == 0 {
+            let message = format!("expected at least 1 × 1 pixel, got {width} × {height}");
+            return Err(Error::Picture { file: "picture".into(), message });
+        }
+        let part = self.part();
+        let fits = |at: u32, length: u32, all: u32| length > 0 && at < all && length <= all - at;
+        if !fits(part.x, part.width, width) || !fits(part.y, part.height, height) {
+            let expected = format!("a part of {width} × {height} pixels");
+            let got = format!("{} × {} at ({}, {})", part.width, part.height, part.x, part.y);
+            return Err(Error::param("frame", "crop", expected, got));
+        }
+        let row = u64::from(width) * self.format.bytes_per_pixel() as u64;
+        if (self.stride as u64) < row {
+            let expected = format!("at least {row} bytes");
+            return Err(Error::param("frame", "stride", expected, self.stride));
+        }
+        let bytes = (self.stride as u64).saturating_mul(u64::from(height - 1)).saturating_add(row);
+        if (self.data.len() as u64) < bytes {
+            let expected = format!("at least {bytes} bytes");
+            return Err(Error::param("frame", "data", expected, self.data.len()));
+        }
+        let side = part.width.min(part.height);
+        let needed = u64::from(side) * u64::from(side);
+        if needed > MAX_PIXELS as u64 {
+            let what = format!("pixels of a square of {side} × {side}");
+            return Err(Error::Capacity { what, needed, available: MAX_PIXELS as u64 });
+        }
+        // Up and left by half a pixel where the middle is between two.
+        let (x, y) = (part.x + (part.width - side) / 2, part.y + (part.height - side) / 2);
+        Ok(Square { x, y, side, pixels: self.pack(x as usize, y as usize, side as usize) })
+    }
+
+    /// Red in the low byte, then green, blue and 255, for each pixel of a square inside the frame.
+    fn pack(&self, x: usize, y: usize, side: usize) -> Vec<u32> {
+        let word = |r: u8, g: u8, b: u8| u32::from_le_bytes([r, g, b, 255]);
+        let each = self.format.bytes_per_pixel();
+        let mut pixels = Vec::with_capacity(side * side);
+        for y in y..y + side {
+            let row = &self.data[y * self.stride + x * each..][..side * each];
+            match self.format {
+                PixelFormat::Rgb8 => {
+                    pixels.extend(row.as_chunks().0.iter().map(|&[r, g, b]| word(r, g, b)));
+                }
+                PixelFormat::Bgr8 => {
+                    pixels.extend(row.as_chunks().0.iter().map(|&[b, g, r]| word(r, g, b)));
+                }
+                PixelFormat::Rgba8 => {
+                    pixels.extend(row.as_chunks().0.iter().map(|&[r, g, b, _]| word(r, g, b)));
+                }
+                PixelFormat::Bgra8 => {
+                    pixels.extend(row.as_chunks().0.iter().map(|&[b, g, r, _]| word(r, g, b)));
+                }
+                PixelFormat::Gray8 => pixels.extend(row.iter().map(|&v| word(v, v, v))),
+                PixelFormat::BayerRggb8
+                | PixelFormat::BayerBggr8
+                | PixelFormat::BayerGrbg8
+                | PixelFormat::BayerGbrg8 => {
+                    pixels.extend((x..x + side).map(|x| {
+                        let [r, g, b] = self.interpolated(x, y);
+                        word(r, g, b)
+                    }));
+                }
+            }
+        }
+        pixels
+    }
+
+    /// The colours of a pixel behind a Bayer filter.
+    fn interpolated(&self, x: usize, y: usize) -> [u8; 3] {
+        let mosaic = self.format.mosaic().unwrap_or_default();
+        let (columns, rows) = (self.width as usize, self.height as usize);
+        let (mut sums, mut counts) = ([0u32; 3], [0u32; 3]);
+        for near_y in y.saturating_sub(1)..(y + 2).min(rows) {
+            for near_x in x.saturating_sub(1)..(x + 2).min(columns) {
+                let colour = mosaic[near_y % 2][near_x % 2];
+                sums[colour] += u32::from(self.data[near_y * self.stride + near_x]);
+                counts[colour] += 1;
+            }
+        }
+        let own = mosaic[y % 2][x % 2];
+        (sums[own], counts[own]) = (u32::from(self.data[y * self.stride + x]), 1);
+        // A frame of a single row or column lacks a colour.
+        let mean = |c: usize| (sums[c] + counts[c] / 2).checked_div(counts[c]).unwrap_or(0);
+        [0, 1, 2].map(|c| mean(c) as u8)
+    }
+}
+
+impl fmt::Debug for Frame<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { data, width, height, stride, format, crop } = self;
+        write!(f, "Frame({width} × {height} {format:?}, {} bytes, stride {stride}", data.len())?;
+        if let Some(Rect { x, y, width, height }) = crop {
+            write!(f, ", crop {width} × {height} at ({x}, {y})")?;
+        }
+        f.write_str(")")
+    }
+}
+
+#[cfg(feature = "image")]
+impl<'a> From<&'a image::DynamicImage> for Frame<'a> {
+    fn from(picture: &'a image::DynamicImage) -> Self {
+        use image::DynamicImage as Image;
+        let (width, height) = (picture.width(), picture.height());
+        match picture {
+            Image::ImageRgb8(p) => Self::new(p.as_raw(), width, height, PixelFormat::Rgb8),
+            Image::ImageRgba8(p) => Self::new(p.as_raw(), width, height, PixelFormat::Rgba8),
+            Image::ImageLuma8(p) => Self::new(p.as_raw(), width, height, PixelFormat::Gray8),
+            other => Self::new(other.to_rgb8().into_raw(), width, height, PixelFormat::Rgb8),
+        }
+    }
+}
+
+/// What the network sees of a frame.
+#[derive(Clone, PartialEq, Eq)]
+pub(crate) struct Square {
+    /// Column of its left edge in the frame.
+    pub x: u32,
+    /// Row of its upper edge.
+    pub y: u32,
+    /// Its columns and rows.
+    pub side: u32,
+    /// Its pixels, row-major: red in the low byte, then green, blue and alpha.
+    pub pixels: Vec<u32>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The (r, g, b) of what the network sees.
+    fn seen(frame: &Frame) -> Vec<[u8; 3]> {
+        let square = frame.square().expect("a sound frame");
+        assert_eq!(square.pixels.len(), (square.side * square.side) as usize);
+        let bytes = square.pixels.iter().map(|p| p.to_le_bytes());
+        bytes.inspect(|p| assert_eq!(p[3], 255)).map(|[r, g, b, _]| [r, g, b]).collect()
+    }
+
+    fn refusal(frame: &Frame) -> String {
+        frame.square().err().expect("an error").to_string()
+    }
+
+    #[test]
+    fn the_same_pixels_in_each_format() {
+        let want = [[1, 2, 3], [4, 5, 6], [7, 8, 9], [10, 11, 12]];
+        let bytes = |order: &[usize]| -> Vec<u8> {
+            let sample = |p: &[u8; 3], i: usize| p.get(i).copied().unwrap_or(77);
+            want.iter().flat_map(|p| order.iter().map(move |i| sample(p, *i))).collect()
+        };
+        for (format, order) in [
+            (PixelFormat::Rgb8, &[0, 1, 2][..]),
+            (PixelFormat::Bgr8, &[2, 1, 0]),
+            (PixelFormat::Rgba8, &[0, 1, 2, 3]),
+            (PixelFormat::Bgra8, &[2, 1, 0, 3]),
+        ] {
+            assert_eq!(seen(&Frame::new(bytes(order), 2, 2, format)), want, "{format:?}");
+        }
+        let grey = Frame::new(&[1, 2, 3, 255][..], 2, 2, PixelFormat::Gray8);
+        assert_eq!(seen(&grey), [1, 2, 3, 255].map(|v| [v; 3]));
+    }
+
+    #[test]
+    fn rows_may_be_apart_and_the_last_may_end_early() {
+        let data: Vec<u8> = (0..13).collect();
+        let frame = Frame::new(&data, 3, 3, PixelFormat::Gray8).stride(5);
+        let rows = [0, 1, 2, 5, 6, 7, 10, 11, 12];
+        assert_eq!(seen(&frame), rows.map(|v| [v; 3]));
+        let frame = Frame::new(&data[..12], 3, 3, PixelFormat::Gray8).stride(5);
+        let message = "frame: parameter `data`: expected at least 13 bytes, got 12";
+        assert_eq!(refusal(&frame), message);
+    }
+
+    #[test]
+    fn the_middle_square_of_the_part_is_seen() {
+        let data: Vec<u8> = (0..40).collect();
+        let frame = Frame::new(&data, 8, 5, PixelFormat::Gray8);
+        let square = frame.square().expect("a frame");
+        assert_eq!((square.x, square.y, square.side), (1, 0, 5));
+        // Two rows of four from (3, 2): the middle two columns.
+        let frame = frame.crop(Rect { x: 3, y: 2, width: 4, height: 2 });
+        let square = frame.square().expect("a frame");
+        assert_eq!((square.x, square.y, square.side), (4, 2, 2));
+        assert_eq!(seen(&frame), [20, 21, 28, 29].map(|v| [v; 3]));
+    }
+
+    #[test]
+    fn what_is_not_there_is_refused() {
+        let data = vec![0; 3 * 4 * 3];
+        let frame = |width, height| Frame::new(&data, width, height, PixelFormat::Rgb8);
+        assert!(frame(4, 3).square().is_ok());
+        assert_eq!(refusal(&frame(0, 3)), "picture: expected at least 1 × 1 pixel, got 0 × 3");
+        assert_eq!(
+            refusal(&frame(4, 4)),
+            "frame: parameter `data`: expected at least 48 bytes, got 36"
+        );
+        assert_eq!(
+            refusal(&frame(4, 3).stride(11)),
+            "frame: parameter `stride`: expected at least 12 bytes, got 11"
+        );
+        for (x, y, width, height) in
+            [(0, 0, 5, 1), (4, 0, 1, 1), (1, 1, 3, 3), (0, 0, 0, 1), (u32::MAX, 0, 2, 1)]
+        {
+            let message = refusal(&frame(4, 3).crop(Rect { x, y, width, height }));
+            let start = "frame: parameter `crop`: expected a part of 4 × 3 pixels, got ";
+            assert!(message.starts_with(start), "{message}");
+        }
+        for (width, height, stride) in [(u32::MAX, u32::MAX, usize::MAX), (1, u32::MAX, 1 << 40)] {
+            let message = refusal(&frame(width, height).stride(stride));
+            assert!(message.contains("`data`"), "{message}");
+        }
+        let data = vec![0; 5793 * 5793];
+        let message = refusal(&Frame::new(&data, 5793, 5793, PixelFormat::Gray8));
+        assert!(message.contains("needs 33558849, but only 33554432"), "{message}");
+    }
+
+    /// By hand, on the frame
+    /// ```text
+    /// R 10  G 20  R 30
+    /// G 40  B 50  G 60
+    /// R 70  G 80  R 91
+    /// ```
+    #[test]
+    fn bayer_patterns_are_interpolated() {
+        let data = [10, 20, 30, 40, 50, 60, 70, 80, 91];
+        let rggb = Frame::new(&data[..], 3, 3, PixelFormat::BayerRggb8);
+        let want = [
+            [10, 30, 50], // green (20 + 40) / 2
+            [20, 20, 50], // red (10 + 30) / 2
+            [30, 40, 50], // green (20 + 60) / 2
+            [40, 40, 50], // red (10 + 70) / 2
+            [50, 50, 50], // red (10 + 30 + 70 + 91) / 4, green (20 + 40 + 60 + 80) / 4
+            [61, 60, 50], // red (30 + 91) / 2
+            [70, 60, 50],
+            [81, 80, 50],
+            [91, 70, 50],
+        ];
+        assert_eq!(seen(&rggb), want);
+        // Blue where red was.
+        let bggr = Frame::new(&data[..], 3, 3, PixelFormat::BayerBggr8);
+        assert_eq!(seen(&bggr), want.map(|[r, g, b]| [b, g, r]));
+        // From its second column or row on, the mosaic is another; neighbours outside the part count.
+        let middle = Rect { x: 1, y: 1, width: 1, height: 1 };
+        for (format, pixel) in [
+            (PixelFormat::BayerGrbg8, [50, 50, 50]), // red (20 + 80) / 2, blue (40 + 60) / 2
+            (PixelFormat::BayerGbrg8, [50, 50, 50]),
+        ] {
+            assert_eq!(seen(&Frame::new(&data[..], 3, 3, format).crop(middle)), [pixel]);
+        }
+        let grbg = Frame::new(&data[..4], 2, 2, PixelFormat::BayerGrbg8);
+        // G 10  R 20 / B 30  G 40
+        assert_eq!(seen(&grbg)[..2], [[20, 10, 30], [20, 25, 30]]);
+        let gbrg = Frame::new(&data[..4], 2, 2, PixelFormat::BayerGbrg8);
+        assert_eq!(seen(&gbrg)[..2], [[30, 10, 20], [30, 25, 20]]);
+    }
+
+    #[test]
+    fn a_line_for_people() {
+        let data = vec![0; 1 << 20];
+        let frame = Frame::new(&data, 1024, 1024, PixelFormat::Gray8);
+        assert_eq!(format!("{frame:?}"), "Frame(1024 × 1024 Gray8, 1048576 bytes, stride 1024)");
+    }
+
+    #[cfg(feature = "image")]
+    #[test]
+    fn pictures_of_every_kind_are_seen_as_their_colours() {
+        use image::{DynamicImage, Rgb, RgbImage};
+        let rgb = RgbImage::from_fn(4, 3, |x, y| Rgb([x as u8 * 60, y as u8 * 90, 7]));
+        let rgb = DynamicImage::from(rgb);
+        let kinds = [
+            rgb.clone(),
+            rgb.to_luma8().into(),
+            rgb.to_luma_alpha8().into(),
+            rgb.to_rgba8().into(),
+            rgb.to_luma16().into(),
+            rgb.to_luma_alpha16().into(),
+            rgb.to_rgb16().into(),
+            rgb.to_rgba16().into(),
+            rgb.to_rgb32f().into(),
+            rgb.to_rgba32f().into(),
+        ];
+        for picture in kinds {
+            let want: Vec<_> =
+                picture.crop_imm(0, 0, 3, 3).to_rgb8().pixels().map(|p| p.0).collect();
+            assert_eq!(seen(&Frame::from(&picture)), want, "{:?}", picture.color());
+        }
+    }
+}

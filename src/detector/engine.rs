@@ -83,6 +83,14 @@ impl Engine {
         Ok(Self { network, adapter, runner, keep })
     }
 
+    /// The kernel of each operation, in order; none but on a GPU.
+    pub fn kernels(&self) -> &[&'static str] {
+        match &self.runner {
+            Runner::Gpu(pool) => pool.program().kernels(),
+            _ => &[],
+        }
+    }
+
     /// Whether a GPU runs the network.
     pub fn is_gpu(&self) -> bool {
         matches!(self.runner, Runner::Gpu(_))

@@ -189,7 +189,7 @@ impl GpuDetector {
         let (want, times) = network.graph.reference(&inputs, &network.graph.computed())?;
         let expected = input.detections(network, &want, times)?;
         let scale = f64::from(input.scale(network));
-        let outcome = comparison::compare(network, &inputs, &got, &want, scale)?;
+        let outcome = comparison::compare(network, &inputs, &got, &want, scale, engine.kernels())?;
         let time = |stage: &str| found.stages.iter().find(|t| t.stage == stage).map(|t| t.time);
         let stages = expected.stages.iter().zip(outcome.stages);
         let stages = stages.map(|(reference, tensors)| StageComparison {

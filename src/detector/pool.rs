@@ -46,6 +46,11 @@ impl Pool {
         Ok(Self { program, most: most.max(1), state: Mutex::new(state) })
     }
 
+    /// What the slots run.
+    pub fn program(&self) -> &Program {
+        &self.program
+    }
+
     fn state(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -7,6 +7,7 @@
 mod convert;
 mod count;
 mod layout;
+mod products;
 mod recording;
 
 mod apply_gates;
@@ -167,7 +168,10 @@ static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
     ("apply_gates", &[&apply_gates::Quads, &apply_gates::Planar]),
     ("channel_gate", &[&channel_gate::Planar]),
     ("channel_pool", &[&channel_pool::Quads, &channel_pool::Planar]),
-    ("conv2d", &[&conv2d::Planar]),
+    (
+        "conv2d",
+        &[&conv2d::Direct { split: true }, &conv2d::Direct { split: false }, &conv2d::Planar],
+    ),
     ("crop_resize", &[&crop_resize::Quads, &crop_resize::Planar]),
     ("decode_detections", &[&decode_detections::Planar]),
     ("decode_proposals", &[&decode_proposals::Planar]),

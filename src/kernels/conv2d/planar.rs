@@ -1,4 +1,4 @@
-//! 2-D convolution with bias, optional residual and ReLU.
+//! On planar maps.
 
 use crate::error::{Error, Result};
 use crate::graph::TensorId;
@@ -28,14 +28,14 @@ shader_params! {
 }
 
 static SHADER: Shader =
-    Shader { stem: "conv2d", source: include_str!("../../wgsl/conv2d.wgsl"), params: PARAMS };
+    Shader { stem: "conv2d", source: include_str!("../../../wgsl/conv2d.wgsl"), params: PARAMS };
 
 /// Output pixels that one workgroup computes.
 const PIXELS: usize = 64;
 
 /// The definition, on planar maps.
 #[derive(Debug)]
-pub(super) struct Planar;
+pub(in crate::kernels) struct Planar;
 
 impl Kernel for Planar {
     fn id(&self) -> &'static str {

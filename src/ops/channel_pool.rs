@@ -3,7 +3,7 @@
 use crate::cpu;
 use crate::error::Result;
 use crate::ops::bounds::{PARTIAL_SUMS, SumOrder, magnitude, mean_error};
-use crate::ops::case::{Case, GATED_MAPS, one_way, random, random_scaled, values};
+use crate::ops::case::{Case, GATED_MAPS, STACKED, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, map_dims};
 use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
@@ -96,6 +96,8 @@ fn cases() -> Vec<Case> {
         ("deep and small, as conv5_x", [512, 10, 10]),
         ("wide, as conv1", [5, 160, 160]),
         ("65 537 channels: a grid folded to two dimensions", [65_537, 1, 1]),
+        ("quads side by side", STACKED),
+        ("41 rows: three chunks, the last a row short", [6, 41, 9]),
     ];
     for (i, (name, dims)) in shapes.into_iter().enumerate() {
         cases.push(Case::new(name, ChannelPool, vec![random(i as u64, dims).into()]));

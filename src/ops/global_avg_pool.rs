@@ -3,7 +3,7 @@
 use crate::cpu;
 use crate::error::Result;
 use crate::ops::bounds::{PARTIAL_SUMS, SumOrder, magnitude, mean_error};
-use crate::ops::case::{Case, one_way, random, random_scaled, values};
+use crate::ops::case::{Case, STACKED, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, map_dims};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
@@ -124,6 +124,7 @@ fn cases() -> Vec<Case> {
         ("prime sizes", [61, 31, 37]),
         ("as in the re-weighting", [64, 40, 40]),
         ("65 537 channels: a grid folded to two dimensions", [65_537, 1, 1]),
+        ("quads side by side", STACKED),
     ];
     for (i, (name, dims)) in shapes.into_iter().enumerate() {
         cases.push(Case::new(name, ONE, vec![random(i as u64, dims).into()]));

@@ -87,6 +87,7 @@ pub mod model;
 pub mod ops;
 #[cfg(feature = "picture")]
 pub mod picture;
+pub mod profile;
 #[cfg(feature = "simulator")]
 pub mod sensor;
 pub mod shader;

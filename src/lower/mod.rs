@@ -28,6 +28,9 @@ pub struct Lowered {
     pub places: HashMap<TensorId, TensorId>,
     /// The kernel of each operation that runs, in order.
     pub kernels: Vec<&'static str>,
+    /// For each command, which of the graph's operations it is for: conversions belong to the one that
+    /// reads.
+    pub owners: Vec<usize>,
 }
 
 /// What is asked of a lowering.
@@ -61,8 +64,8 @@ pub fn lower(graph: &Graph, request: &Request) -> Result<Lowered> {
             layouts.declare(TensorId(index));
         }
     }
-    let mut kernels = Vec::new();
-    for node in graph.nodes().iter().zip(&live).filter_map(|(node, live)| live.then_some(node)) {
+    let (mut kernels, mut owners) = (Vec::new(), Vec::new());
+    for (index, node) in graph.nodes().iter().enumerate().filter(|(index, _)| live[*index]) {
         layouts.recording.begin_stage(&graph.stages()[node.stage]);
         let specs = |ids: &[TensorId]| -> Vec<TensorSpec> {
             ids.iter().map(|id| graph.spec(*id).clone()).collect()
@@ -84,6 +87,7 @@ pub fn lower(graph: &Graph, request: &Request) -> Result<Lowered> {
         let kernel = request.choice.kernel(&work)?;
         kernels.push(kernel.id());
         layouts.record(node, kernel, &work)?;
+        owners.resize(layouts.recording.commands().len(), index);
     }
     let mut places = HashMap::new();
     for (index, tensor) in graph.tensors().iter().enumerate() {
@@ -98,7 +102,7 @@ pub fn lower(graph: &Graph, request: &Request) -> Result<Lowered> {
         }
         places.insert(id, place);
     }
-    Ok(Lowered { recording: layouts.recording, places, kernels })
+    Ok(Lowered { recording: layouts.recording, places, kernels, owners })
 }
 
 /// For each operation, whether something that is wanted depends on it.

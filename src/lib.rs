@@ -93,6 +93,7 @@ pub mod sensor;
 pub mod shader;
 pub mod shape;
 pub mod tensor;
+pub mod tune;
 
 pub use detector::{Comparison, Config, Detection, Detections, Device, GpuDetector, WeightSource};
 pub use error::{Error, Result};

@@ -175,7 +175,7 @@ impl Plan {
         }
 
         let blocks = u32::try_from(form.blocks(in_c)).ok()?;
-        // Whatever the batch: the order of a sum must not depend on it.
+        // The order of a picture's sums must not depend on the rest of its batch.
         let busy = u64::from(grid[0]) * u64::from(grid[1]);
         let splits = match split {
             true => u64::from(ENOUGH).div_ceil(busy).clamp(2, u64::from(MOST_SPLITS)) as u32,

@@ -84,7 +84,8 @@ crates() {
 }
 
 step format cargo fmt --check
-step build cargo build --locked --release
+# With what the tests need, so that nothing is built twice; the program is built with them.
+step build cargo test --locked --release --no-run
 step adapter have_adapter
 step clippy cargo clippy --locked --release --all-targets -- -D warnings
 step features features

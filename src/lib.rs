@@ -87,11 +87,13 @@ pub mod model;
 pub mod ops;
 #[cfg(feature = "picture")]
 pub mod picture;
+pub mod profile;
 #[cfg(feature = "simulator")]
 pub mod sensor;
 pub mod shader;
 pub mod shape;
 pub mod tensor;
+pub mod tune;
 
 pub use detector::{Comparison, Config, Detection, Detections, Device, GpuDetector, WeightSource};
 pub use error::{Error, Result};

@@ -69,6 +69,8 @@ impl Default for Caps {
 /// An operation on inputs of known shapes, for which a kernel is sought.
 #[derive(Clone, Copy, Debug)]
 pub struct Work<'a> {
+    /// Its place in the graph.
+    pub node: usize,
     /// The operation.
     pub op: &'a dyn Op,
     /// Shapes of its inputs.

@@ -175,7 +175,8 @@ impl Plan {
         }
 
         let blocks = u32::try_from(form.blocks(in_c)).ok()?;
-        let busy = u64::from(grid[0]) * u64::from(grid[1]) * u64::from(work.batch);
+        // The order of a picture's sums must not depend on the rest of its batch.
+        let busy = u64::from(grid[0]) * u64::from(grid[1]);
         let splits = match split {
             true => u64::from(ENOUGH).div_ceil(busy).clamp(2, u64::from(MOST_SPLITS)) as u32,
             false => 1,
@@ -251,7 +252,7 @@ impl Kernel for Direct {
     }
 
     fn preferred(&self, work: &Work) -> bool {
-        let idle = |plan: Plan| plan.grid[0] * plan.grid[1] * work.batch < ENOUGH;
+        let idle = |plan: Plan| plan.grid[0] * plan.grid[1] < ENOUGH;
         !self.split || Lanes::of(work.caps).of_many_cores() && self.plan(work).is_some_and(idle)
     }
 

@@ -2,6 +2,7 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use image::{DynamicImage, RgbImage};
+use smr_gpu::gpu::AdapterChoice;
 use smr_gpu::{Config, Device, GpuDetector};
 
 fn detect(criterion: &mut Criterion) {
@@ -10,7 +11,7 @@ fn detect(criterion: &mut Criterion) {
     let picture = DynamicImage::ImageRgb8(ramp);
     let mut group = criterion.benchmark_group("detect");
     group.sample_size(10);
-    for (name, device) in [("adapter", Device::default()), ("cpu", Device::Cpu)] {
+    for (name, device) in [("adapter", Device::Gpu(AdapterChoice::Auto)), ("cpu", Device::Cpu)] {
         let mut config =
             Config::new(concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors"));
         config.device = device;

@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use crate::error::{Error, Result};
-use crate::gpu::{Gpu, Poison, Profile, Program, ProgramOptions, Slot};
+use crate::gpu::{Deadline, Gpu, Poison, Profile, Program, ProgramOptions, Slot};
 use crate::graph::{Graph, TensorId};
 use crate::kernels::{self, Kernel, Layout, Work};
 use crate::lower::{Choice, Lowered, Request, lower};
@@ -50,7 +50,7 @@ pub fn fitting(gpu: &Gpu, case: &Case) -> Result<Vec<&'static dyn Kernel>> {
     let known: Vec<bool> = case.op.inputs().iter().map(|n| WEIGHTS.contains(n)).collect();
     let op = case.op.as_ref();
     let (inputs, outputs, caps) = (&specs[..], &outputs[..], gpu.caps());
-    let work = Work { op, inputs, known: &known, outputs, batch: 1, caps };
+    let work = Work { node: 0, op, inputs, known: &known, outputs, batch: 1, caps };
     Ok(kernels::of(op)?.iter().copied().filter(|k| k.fits(&work)).collect())
 }
 
@@ -207,7 +207,8 @@ impl Single {
             .collect();
         let inputs: Vec<&[(TensorId, &Value)]> = inputs.iter().map(Vec::as_slice).collect();
         self.slot.submit(&inputs)?;
-        let run = self.slot.receive()?;
+        let deadline = Deadline::after(self.slot.program().gpu().timeout());
+        let run = pollster::block_on(self.slot.receive(deadline))?;
         run.values.into_iter().map(|values| self.collect(values)).collect()
     }
 

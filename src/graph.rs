@@ -198,6 +198,20 @@ impl Graph {
         &self.tensors[id.0].name
     }
 
+    /// Forgets how to make the values of the constants, where they are on a device for good: only what
+    /// was lowered already can run.
+    pub(crate) fn forget_constants(&mut self) {
+        for tensor in &mut self.tensors {
+            if let Source::Constant { constant, kept } = &mut tensor.source {
+                let name = tensor.name.clone();
+                *constant = Constant::made(constant.spec().clone(), move || {
+                    Err(Error::tensor("graph", &name, "a constant", "one that was forgotten"))
+                });
+                *kept = OnceLock::new();
+            }
+        }
+    }
+
     /// Makes the values of the constants and keeps them, as the references need them.
     ///
     /// # Errors

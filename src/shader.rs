@@ -61,6 +61,7 @@ impl std::fmt::Display for Variant {
 const SHARED: &[(&str, &str)] = &[
     ("index", include_str!("../wgsl/shared/index.wgsl")),
     ("quads", include_str!("../wgsl/shared/quads.wgsl")),
+    ("products", include_str!("../wgsl/shared/products.wgsl")),
     ("boxes", include_str!("../wgsl/shared/boxes.wgsl")),
     ("relu", include_str!("../wgsl/shared/relu.wgsl")),
     ("reduce", include_str!("../wgsl/shared/reduce.wgsl")),

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::Deserialize;
+use smr_gpu::gpu::AdapterChoice;
 use smr_gpu::metrics::{box_iou, center};
 use smr_gpu::{
     Config, Detections, Device, Error, Frame, GpuDetector, PixelFormat, Rect, WeightSource,
@@ -44,6 +45,7 @@ fn file(path: &str) -> PathBuf {
 
 fn config() -> Config {
     let mut config = Config::new(file("weights/smrnet.safetensors"));
+    config.device = Device::Gpu(AdapterChoice::Auto);
     config.score = 0.5;
     config
 }

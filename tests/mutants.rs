@@ -77,7 +77,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "no sample exactly at the features' end",
-        file: "roi_align",
+        file: "roi_align/planar",
         changes: &[("at <= f32(length)", "at < f32(length)")],
         op: "roi_align",
         case: "exactly at the edges by hand",
@@ -85,15 +85,114 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "no sample exactly at −1",
-        file: "roi_align",
+        file: "roi_align/planar",
         changes: &[("at >= -1.0", "at > -1.0")],
         op: "roi_align",
         case: "exactly at the edges by hand",
         by_hand: true,
     },
     Fault {
+        what: "no sample exactly at the features' end",
+        file: "roi_align/quads",
+        changes: &[("at <= f32(length)", "at < f32(length)")],
+        op: "roi_align",
+        case: "exactly at the edges by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "the first picture's boxes for all",
+        file: "roi_align/quads",
+        changes: &[("picture * params.box_stride", "0u * params.box_stride")],
+        op: "roi_align",
+        case: "the RoI head",
+        by_hand: false,
+    },
+    Fault {
+        what: "the pixels of all rows summed one after the other",
+        file: "global_avg_pool/quads",
+        changes: &[("row_sum += input", "sum += input")],
+        op: "global_avg_pool",
+        case: "one third everywhere",
+        by_hand: false,
+    },
+    Fault {
+        what: "the last row of a chunk left out",
+        file: "channel_pool/quads",
+        changes: &[(
+            "min(first + params.chunk_rows, map",
+            "min(first + params.chunk_rows - 1u, map",
+        )],
+        op: "channel_pool",
+        case: "41 rows: three chunks, the last a row short",
+        by_hand: false,
+    },
+    Fault {
+        what: "a slice's sums counted to another pixel",
+        file: "spatial_pool/quads",
+        changes: &[("parts[lane + 8u * i]", "parts[lane + 8u * i - 8u]")],
+        op: "spatial_pool",
+        case: "33 quads: one slice a quad short of the other",
+        by_hand: false,
+    },
+    Fault {
+        what: "the first picture's gates for all",
+        file: "spatial_pool/quads",
+        changes: &[("workgroup.z * params.gate_stride", "0u * params.gate_stride")],
+        op: "spatial_pool",
+        case: "two pixels of four channels by hand",
+        by_hand: false,
+    },
+    Fault {
+        what: "the first picture's gates for all",
+        file: "apply_gates/quads",
+        changes: &[("workgroup.z * params.spatial_gate_stride", "0u * params.spatial_gate_stride")],
+        op: "apply_gates",
+        case: "four channels of two pixels by hand",
+        by_hand: false,
+    },
+    Fault {
+        what: "one map's weight for the next",
+        file: "weighted_sum/quads",
+        changes: &[("weights[weight + 3u]", "weights[weight + 2u]")],
+        op: "weighted_sum",
+        case: "five maps by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "the rest of a row's columns as the height says",
+        file: "max_pool2d/quads",
+        changes: &[("window(x, source.width)", "window(x, source.height)")],
+        op: "max_pool2d",
+        case: "two channels, not square, by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "each block of quads as the first",
+        file: "upsample_bilinear/quads",
+        changes: &[("texel(source, picture, first, y.low", "texel(source, picture, 0u, y.low")],
+        op: "upsample_bilinear",
+        case: "20 to 40",
+        by_hand: false,
+    },
+    Fault {
+        what: "the means of red and green exchanged",
+        file: "crop_resize/quads",
+        changes: &[("params.shift_r, params.shift_g", "params.shift_g, params.shift_r")],
+        op: "crop_resize",
+        case: "each channel its mean and deviation, by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "quads side by side taken as one below the other",
+        file: "shared/quads",
+        changes: &[("let width = map.columns * map.pitch", "let width = map.pitch")],
+        op: "spatial_pool",
+        case: "quads side by side",
+        by_hand: false,
+    },
+    Fault {
         what: "a mean summed by one invocation",
-        file: "global_avg_pool",
+        file: "global_avg_pool/planar",
         changes: &[(
             "for (var i = local; i < params.area; i += WORKGROUP)",
             "for (var i = 0u; i < select(0u, params.area, local == 0u); i++)",
@@ -104,7 +203,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "a mean summed by one invocation",
-        file: "channel_pool",
+        file: "channel_pool/planar",
         changes: &[(
             "for (var i = local; i < params.area; i += WORKGROUP)",
             "for (var i = 0u; i < select(0u, params.area, local == 0u); i++)",
@@ -177,7 +276,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "the means of red and green exchanged",
-        file: "crop_resize",
+        file: "crop_resize/planar",
         changes: &[("params.shift_r, params.shift_g", "params.shift_g, params.shift_r")],
         op: "crop_resize",
         case: "each channel its mean and deviation, by hand",
@@ -239,7 +338,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "channels as far apart as a square",
-        file: "max_pool2d",
+        file: "max_pool2d/planar",
         changes: &[(
             "channel * params.in_height * params.in_width",
             "channel * params.in_height * params.in_height",
@@ -250,7 +349,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "the first channel for all",
-        file: "upsample_bilinear",
+        file: "upsample_bilinear/planar",
         changes: &[("(channel * params.in_height + y.low)", "(y.low)")],
         op: "upsample_bilinear",
         case: "two channels by hand",
@@ -361,9 +460,19 @@ fn a_mutant_of_each_shader_is_noticed() {
 /// Faults that change no output, and why.
 const EQUIVALENT: &[(&str, &str, &str)] = &[
     (
-        "max_pool2d",
+        "max_pool2d/planar",
         "return (bitcast<u32>(x) & 0x7fffffffu) > 2139095041u;",
         "one signalling NaN counts as a number, which no arithmetic makes",
+    ),
+    (
+        "max_pool2d/quads",
+        "let quads = vec2(2u * workgroup.y, min(2u * workgroup.y - 1u, to.quads - 1u));",
+        "each pair has the quad before its second; the first pair has the last",
+    ),
+    (
+        "channel_gate",
+        "let none = select(0u, 0u, workgroups.x == 0u);",
+        "a 0 that compilers must not know",
     ),
     (
         "shared/reduce",

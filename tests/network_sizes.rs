@@ -17,6 +17,8 @@ fn size_of(op: &dyn Op, inputs: &[&TensorSpec]) -> String {
     let inputs: Vec<_> = inputs.iter().map(ToString::to_string).collect();
     let parameters = match op.name() {
         "conv2d" => format!("{op:?}"),
+        // Pictures come in all sizes; what they become is the network's.
+        "crop_resize" => return format!("crop_resize to {}", op.settings()[0].1),
         name => name.to_owned(),
     };
     format!("{parameters}: {}", inputs.join(", "))

@@ -101,4 +101,4 @@ step overflow cargo test --locked --release --lib --test cli \
     --config profile.release.package.smr-gpu.debug-assertions=true
 # Under its name there is the program with those checks now: put the other one back.
 cargo test --locked --release --no-run --test cli
-step shaders "$smr_gpu" check
+step shaders "$smr_gpu" check --device gpu

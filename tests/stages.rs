@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use image::DynamicImage;
 use smr_gpu::comparison::relative_l2;
-use smr_gpu::gpu::{Gpu, GpuOptions, ProgramOptions, Slot};
+use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions, ProgramOptions, Slot};
 use smr_gpu::host::HostPlan;
 use smr_gpu::model::{ModelConfig, Network, Thresholds, Variant, Weights};
 use smr_gpu::ops::Crop;
@@ -47,7 +47,7 @@ fn stages_match_pytorch() {
     let bytes = std::fs::read(file("tests/fixtures/stages.safetensors")).expect("the fixture");
     let golden = safetensors::SafeTensors::deserialize(&bytes).expect("the fixture's tensors");
     let picture = image::open(file("tests/fixtures/stages.png")).expect("the fixture's picture");
-    for device in [Device::default(), Device::Cpu, Device::Reference] {
+    for device in [Device::Gpu(AdapterChoice::Auto), Device::Cpu, Device::Reference] {
         let size = golden.tensor("pixels").expect("pixels").shape()[2];
         let detector = detector(device.clone(), |c| c.input_size = Some(size));
         let (found, stages) =
@@ -93,7 +93,7 @@ fn stages_match_pytorch() {
 
 #[test]
 fn gpu_matches_the_f64_network_on_a_sample() {
-    let gpu = detector(Device::default(), |_| ());
+    let gpu = detector(Device::Gpu(AdapterChoice::Auto), |_| ());
     let comparison = gpu.compare(&Frame::from(&first_sample())).expect("a comparison");
     assert_eq!(comparison.failures().collect::<Vec<_>>(), [""; 0]);
     let tensors: Vec<_> = comparison.stages.iter().flat_map(|s| &s.tensors).collect();
@@ -118,8 +118,9 @@ fn a_choice_by_rounding_is_no_failure() {
     let scene = dataset::scene_seed(2004, 5);
     let rendered = Renderer::new().render(scene, &Request::plain(Mix::None)).expect("a picture");
     let picture = DynamicImage::from(rendered.picture);
-    let comparison =
-        detector(Device::default(), |_| ()).compare(&Frame::from(&picture)).expect("a comparison");
+    let comparison = detector(Device::Gpu(AdapterChoice::Auto), |_| ())
+        .compare(&Frame::from(&picture))
+        .expect("a comparison");
     println!("{:?}", comparison.excused().collect::<Vec<_>>());
     assert_eq!(comparison.failures().collect::<Vec<_>>(), [""; 0]);
 }
@@ -154,7 +155,7 @@ fn buffer_reuse_changes_no_bit() {
 #[test]
 fn a_second_picture_leaves_no_trace_of_the_first() {
     let picture = first_sample();
-    let detector = detector(Device::default(), |c| c.keep_stages = false);
+    let detector = detector(Device::Gpu(AdapterChoice::Auto), |c| c.keep_stages = false);
     let first = detector.detect(&picture).expect("a detection").detections;
     // Larger than the sensor's picture, so that the buffers must grow.
     let large = DynamicImage::new_luma8(1500, 1100);
@@ -301,7 +302,7 @@ fn overflow_is_reported() {
         for value in broken[range].chunks_exact_mut(4) {
             value.copy_from_slice(&large.to_le_bytes());
         }
-        let mut config = Config::new("unused");
+        let mut config = Config::new("unused").device(Device::Gpu(AdapterChoice::Auto));
         config.weights = smr_gpu::WeightSource::Bytes("broken".into(), broken.into());
         config.input_size = Some(64);
         let detector = GpuDetector::new(config).expect("a detector");

@@ -9,6 +9,8 @@
 struct Params {
     channels: u32,
     hidden: u32,
+    // Always 0; see shared/reduce.wgsl.
+    zero: u32,
 }
 
 const WORKGROUP: u32 = 256u;
@@ -29,12 +31,18 @@ const CAPACITY: u32 = 1024u;
 var<workgroup> hidden: array<f32, CAPACITY>;
 
 @compute @workgroup_size(WORKGROUP)
-fn main(@builtin(local_invocation_index) local: u32) {
-    for (var base = 0u; base < params.hidden; base += ROWS) {
+fn main(
+    @builtin(local_invocation_index) local: u32,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+) {
+    // 0, in bounds that are no uniform alone: lavapipe 22.3 may otherwise put the uniform's values into
+    // the code and compile anew at each dispatch.
+    let none = select(0u, 1u, workgroups.x == 0u);
+    for (var base = 0u; base < params.hidden + none; base += ROWS) {
         let row = base + local % ROWS;
         var dot = vec2<f32>(0.0);
         if row < params.hidden {
-            for (var c = local / ROWS; c < params.channels; c += LANES) {
+            for (var c = local / ROWS; c < params.channels + none; c += LANES) {
                 let x = vec2<f32>(pooled[c], pooled[params.channels + c]);
                 dot = fma(vec2<f32>(fc1_weight[row * params.channels + c]), x, dot);
             }
@@ -46,9 +54,9 @@ fn main(@builtin(local_invocation_index) local: u32) {
         }
     }
     workgroupBarrier();
-    for (var c = local; c < params.channels; c += WORKGROUP) {
+    for (var c = local; c < params.channels + none; c += WORKGROUP) {
         var logit = 2.0 * fc2_bias[c];
-        for (var r = 0u; r < params.hidden; r++) {
+        for (var r = 0u; r < params.hidden + none; r++) {
             logit = fma(fc2_weight[c * params.hidden + r], hidden[r], logit);
         }
         output[c] = sigmoid(logit);

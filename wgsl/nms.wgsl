@@ -12,7 +12,8 @@ struct Params {
     min_score: f32,
     min_size: f32,
     has_classes: u32,
-    // Always 0; see `rounded` in shared/boxes.wgsl.
+    // Always 0; see `rounded` in shared/boxes.wgsl. As part of a bound it keeps the compiler from
+    // unrolling the loop, which takes seconds.
     zero: u32,
 }
 
@@ -65,7 +66,7 @@ fn mask(
 // The boxes of a word that take no part: behind the count, too low a score, too small.
 fn unfit(word: u32, n: u32) -> u32 {
     var bits = 0u;
-    for (var bit = 0u; bit < 32u; bit++) {
+    for (var bit = 0u; bit < 32u + params.zero; bit++) {
         let i = word * 32u + bit;
         var fit = i < n;
         if fit {
@@ -89,7 +90,7 @@ fn scan(@builtin(local_invocation_index) lane: u32) {
         if lane == 0u {
             var out = gone[block];
             var survivors = 0u;
-            for (var bit = 0u; bit < 32u; bit++) {
+            for (var bit = 0u; bit < 32u + params.zero; bit++) {
                 if (out & (1u << bit)) == 0u {
                     survivors |= 1u << bit;
                     out |= suppressed[(block * 32u + bit) * params.words + block];
@@ -100,7 +101,7 @@ fn scan(@builtin(local_invocation_index) lane: u32) {
         let survivors = workgroupUniformLoad(&kept);
         if lane < params.words {
             var out = gone[lane];
-            for (var bit = 0u; bit < 32u; bit++) {
+            for (var bit = 0u; bit < 32u + params.zero; bit++) {
                 if (survivors & (1u << bit)) != 0u {
                     out |= suppressed[(block * 32u + bit) * params.words + lane];
                 }

@@ -7,6 +7,8 @@ struct Params {
     inputs: u32,
     hidden: u32,
     scales: u32,
+    // Always 0; see shared/reduce.wgsl.
+    zero: u32,
 }
 
 const WORKGROUP: u32 = 256u;

@@ -3,6 +3,8 @@
 struct Params {
     rows: u32,
     columns: u32,
+    // Always 0; see shared/reduce.wgsl.
+    zero: u32,
 }
 
 const WORKGROUP: u32 = 64u;

@@ -1,7 +1,7 @@
 // CBAM's spatial gate: sigmoid of a 7x7 convolution of the two pooled maps, padding 3, with bias.
 //
-// An invocation computes 4 neighbouring pixels of a row and slides a window of 4 values along it,
-// so that each value is loaded once for 4 outputs.
+// An invocation computes 8 neighbouring pixels of a row and slides a window of 8 values along it,
+// so that each value and each weight is loaded once for 8 outputs.
 
 // include: index
 // include: sigmoid
@@ -9,6 +9,8 @@
 struct Params {
     height: u32,
     width: u32,
+    // Always 0: bounds that the compiler does not know keep it from unrolling loops.
+    zero: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -29,33 +31,40 @@ fn main(
     @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let quads = (params.width + 3u) / 4u;
+    let spans = (params.width + 7u) / 8u;
     let index = linear_index(workgroup, workgroups, local, 64u);
-    if index >= params.height * quads {
+    if index >= params.height * spans {
         return;
     }
-    let y = index / quads;
-    let x = (index - y * quads) * 4u;
-    var logits = vec4<f32>(bias[0]);
-    for (var plane = 0u; plane < 2u; plane++) {
-        for (var ky = 0u; ky < 7u; ky++) {
+    let y = index / spans;
+    let x = (index - y * spans) * 8u;
+    var left = vec4<f32>(bias[0]);
+    var right = left;
+    for (var plane = 0u; plane < 2u + params.zero; plane++) {
+        for (var ky = 0u; ky < 7u + params.zero; ky++) {
             let iy = y + ky - 3u;
             if iy >= params.height {
                 continue;
             }
             let row = (plane * params.height + iy) * params.width;
             let taps = (plane * 7u + ky) * 7u;
-            var window = vec4<f32>(
-                value(row, x - 3u), value(row, x - 2u), value(row, x - 1u), value(row, x));
-            for (var kx = 0u; kx < 7u; kx++) {
-                logits = fma(vec4<f32>(weight[taps + kx]), window, logits);
-                window = vec4<f32>(window.yzw, value(row, x + kx + 1u));
+            var near = vec4<f32>(0.0);
+            var far = vec4<f32>(0.0);
+            for (var i = 0u; i < 8u + params.zero; i++) {
+                near = vec4<f32>(near.yzw, far.x);
+                far = vec4<f32>(far.yzw, value(row, x + i - 3u));
+            }
+            for (var kx = 0u; kx < 7u + params.zero; kx++) {
+                let tap = vec4<f32>(weight[taps + kx]);
+                left = fma(tap, near, left);
+                right = fma(tap, far, right);
+                near = vec4<f32>(near.yzw, far.x);
+                far = vec4<f32>(far.yzw, value(row, x + kx + 5u));
             }
         }
     }
-    for (var i = 0u; i < 4u; i++) {
-        if x + i < params.width {
-            output[y * params.width + x + i] = sigmoid(logits[i]);
-        }
+    let to = y * params.width + x;
+    for (var i = 0u; i < min(8u, params.width - x); i++) {
+        output[to + i] = sigmoid(select(left[i & 3u], right[i & 3u], i >= 4u));
     }
 }

@@ -12,6 +12,8 @@ struct Params {
     k: u32,
     // k rounded up to a power of two.
     sort_size: u32,
+    // Always 0: bounds that the compiler does not know keep it from unrolling loops.
+    zero: u32,
 }
 
 const LANES: u32 = 256u;
@@ -56,7 +58,7 @@ fn key_of(bits: u32) -> u32 {
 fn inclusive_sum(lane: u32, value: u32) -> u32 {
     var total = value;
     sums[lane] = total;
-    for (var step = 1u; step < LANES; step *= 2u) {
+    for (var step = 1u; step < LANES + params.zero; step *= 2u) {
         workgroupBarrier();
         var below = 0u;
         if lane >= step {
@@ -89,7 +91,7 @@ fn main(@builtin(local_invocation_index) lane: u32) {
     var low = 0u;
     var mask = 0u;
     var wanted = k;
-    for (var digit = 0u; digit < 7u; digit++) {
+    for (var digit = 0u; digit < 7u + params.zero; digit++) {
         let in_key = digit < 4u;
         let shift = select(48u - 8u * digit, 24u - 8u * digit, in_key);
         if digit == 4u {

@@ -1,10 +1,9 @@
 //! `smr-gpu check`: holds a device's operations to their references.
 
-use smr_gpu::gpu::{Gpu, GpuOptions};
 use smr_gpu::ops::{self, Case, Entry, Report};
 use smr_gpu::{Device, host};
 
-use super::detector::{DeviceArgs, gpu_only};
+use super::detector::{DeviceArgs, open_gpu};
 use super::exit::{Exit, Failure, exit_of};
 use super::output::{line, tell};
 
@@ -31,14 +30,18 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         let known = known.join(", ");
         return Err(Failure::usage(format!("operation: expected one of {known}; got `{name}`")));
     }
-    let run: Box<Run> = match &args.device.device {
-        Device::Cpu => {
+    let gpu = match &args.device.device {
+        Device::Reference => {
+            return Err(Failure::usage("--device: expected what is held to the reference, got it"));
+        }
+        other => open_gpu(other)?,
+    };
+    let run: Box<Run> = match gpu {
+        None => {
             tell("CPU (f32)");
             Box::new(host::check)
         }
-        other => {
-            let options = GpuOptions { adapter: gpu_only(other)?.clone(), ..GpuOptions::default() };
-            let gpu = pollster::block_on(Gpu::open(options))?;
+        Some(gpu) => {
             tell(format!("{} ({})", gpu.info().name, gpu.info().backend));
             Box::new(move |case| smr_gpu::check::check(&gpu, case))
         }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use serde::Serialize;
-use smr_gpu::{Comparison, Frame, GpuDetector};
+use smr_gpu::{Comparison, Device, Frame, GpuDetector};
 
 use super::detector::{DetectorArgs, fraction, gpu_only};
 use super::exit::{Exit, Failure};
@@ -66,7 +66,7 @@ struct Stage<'a> {
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let (sources, mut exit) = expand_all(&args.sources)?;
     let mut config = args.detector.config()?;
-    gpu_only(&config.device)?;
+    config.device = Device::Gpu(gpu_only(&config.device)?.clone());
     if sources.is_empty() {
         return Ok(exit);
     }

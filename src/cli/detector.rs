@@ -9,7 +9,6 @@ use smr_gpu::model::ModelConfig;
 use smr_gpu::{Config, Device, Error, GpuDetector};
 
 use super::exit::{Exit, Failure};
-use super::output::tell;
 
 /// The weight file, relative to the folders in which it is looked for.
 const WEIGHTS: &str = "weights/smrnet.safetensors";
@@ -19,9 +18,10 @@ const WEIGHTS_VARIABLE: &str = "SMR_GPU_WEIGHTS";
 /// What runs a command.
 #[derive(Debug, clap::Args)]
 pub(super) struct DeviceArgs {
-    /// The adapter: its index in `smr-gpu devices`, part of its name, `auto` for the fastest kind,
-    /// `cpu` for this machine's cores, or `reference` for the f64 reference, which is slow.
-    #[arg(long, default_value = "auto", value_name = "auto|cpu|reference|INDEX|NAME")]
+    /// `auto` for a hardware adapter if there is one, else this machine's cores; `gpu` for the best
+    /// adapter, be it software; its index in `smr-gpu devices`, or part of its name; `cpu` for this
+    /// machine's cores, or `reference` for the f64 reference, which is slow.
+    #[arg(long, default_value = "auto", value_name = "auto|gpu|cpu|reference|INDEX|NAME")]
     pub device: Device,
 }
 
@@ -102,19 +102,12 @@ impl DetectorArgs {
     }
 }
 
-/// Builds a detector. Where any adapter would do and there is none, says so and takes the CPU.
+/// Builds a detector.
 ///
 /// # Errors
 /// What the library returns.
-pub(super) fn open(mut config: Config) -> Result<GpuDetector, Failure> {
-    match GpuDetector::new(config.clone()) {
-        Err(Error::NoAdapter { found, .. }) if config.device == Device::default() => {
-            tell_no_adapter(&found);
-            config.device = Device::Cpu;
-            Ok(GpuDetector::new(config)?)
-        }
-        other => Ok(other?),
-    }
+pub(super) fn open(config: Config) -> Result<GpuDetector, Failure> {
+    Ok(GpuDetector::new(config)?)
 }
 
 /// Opens a GPU for `device`; `None` stands for the CPU, as in [`open`].
@@ -122,13 +115,13 @@ pub(super) fn open(mut config: Config) -> Result<GpuDetector, Failure> {
 /// # Errors
 /// What the library returns.
 pub(super) fn open_gpu(device: &Device) -> Result<Option<Arc<Gpu>>, Failure> {
-    let Device::Gpu(choice) = device else { return Ok(None) };
-    let options = GpuOptions { adapter: choice.clone(), ..GpuOptions::default() };
-    match pollster::block_on(Gpu::open(options)) {
-        Err(Error::NoAdapter { found, .. }) if *choice == AdapterChoice::Auto => {
-            tell_no_adapter(&found);
-            Ok(None)
-        }
+    let adapter = match device {
+        Device::Gpu(choice) => choice.clone(),
+        Device::Auto => AdapterChoice::Hardware,
+        Device::Cpu | Device::Reference => return Ok(None),
+    };
+    match pollster::block_on(Gpu::open(GpuOptions { adapter, ..GpuOptions::default() })) {
+        Err(Error::NoAdapter { .. }) if *device == Device::Auto => Ok(None),
         other => Ok(Some(other?)),
     }
 }
@@ -140,17 +133,12 @@ pub(super) fn open_gpu(device: &Device) -> Result<Option<Arc<Gpu>>, Failure> {
 pub(super) fn gpu_only(device: &Device) -> Result<&AdapterChoice, Failure> {
     match device {
         Device::Gpu(choice) => Ok(choice),
+        // Where there is no hardware, a software adapter is what can be held to it.
+        Device::Auto => Ok(&AdapterChoice::Auto),
         Device::Cpu | Device::Reference => {
             Err(Failure::usage("--device: expected a GPU to hold to the reference, got the CPU"))
         }
     }
-}
-
-fn tell_no_adapter(found: &str) {
-    tell(format!(
-        "no GPU adapter ({found}); the package `mesa-vulkan-drivers` brings one; going on with the \
-         CPU"
-    ));
 }
 
 fn weight_file(given: Option<&Path>) -> Result<PathBuf, Failure> {

@@ -59,7 +59,8 @@ impl Run {
 
     fn compare(&self, device: &Values) -> Outcome {
         let scale = 1000.0 / SIZE as f64;
-        compare(&self.network, &self.inputs(), device, &self.healthy, scale).expect("a comparison")
+        compare(&self.network, &self.inputs(), device, &self.healthy, scale, &[])
+            .expect("a comparison")
     }
 
     /// Plants a fault in each of `tensors`, and expects each found where it is and nowhere else: what

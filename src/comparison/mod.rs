@@ -34,6 +34,7 @@ pub use tensor::{TensorComparison, relative_l2};
 
 use crate::error::{Error, Result};
 use crate::graph::TensorId;
+use crate::kernels;
 use crate::model::Network;
 use crate::tensor::{Tensor, Value};
 use choice::{Id, Moved, Side};
@@ -103,7 +104,7 @@ pub(crate) type Values = HashMap<TensorId, Value>;
 
 /// Compares `got`, every tensor that a device computed from `inputs`, with the references, of which
 /// `want` are the tensors of the chain. `scale` is the pixels of the picture for one of the network's
-/// input.
+/// input, `kernels` the kernel of each operation, whose bound counts.
 ///
 /// # Errors
 /// [`Error::Tensor`] if a tensor is missing or has another type than the graph says.
@@ -113,13 +114,22 @@ pub(crate) fn compare(
     got: &Values,
     want: &Values,
     scale: f64,
+    kernels: &[&str],
 ) -> Result<Outcome> {
     let (device, reference) = (Choices::read(network, got)?, Choices::read(network, want)?);
     let mut stages = vec![Vec::new(); network.graph.stages().len()];
-    for step in network.graph.steps(inputs, got) {
+    for (index, step) in network.graph.steps(inputs, got).enumerate() {
         let step = step?;
         let expected = step.op.reference(&step.read)?;
-        let tolerances = step.op.tolerance(&step.read, &expected)?;
+        let kernel = kernels.get(index).and_then(|id| kernels::find(id));
+        let own = match kernel {
+            Some(kernel) => kernel.tolerance(step.op, &step.read, &expected)?,
+            None => None,
+        };
+        let tolerances = match own {
+            Some(own) => own,
+            None => step.op.tolerance(&step.read, &expected)?,
+        };
         let defined = step.op.defined(&expected.iter().collect::<Vec<_>>(), &step.read);
         // Rows that a count limits are those of the count.
         let ids = step.outputs.iter().chain(step.inputs).find(|id| device.ids.contains_key(*id));

@@ -1,10 +1,12 @@
 //! The device: choosing an adapter, opening it, compiling shaders, noticing its loss.
 
 use std::collections::HashMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use crate::error::{Error, Result};
+use crate::gpu::native::{Clock, Poller};
 use crate::gpu::program::Resource;
 use crate::kernels::{Caps, Command, Dispatch, Recording, Storage};
 use crate::shader::{self, BindingKind, Variant};
@@ -15,6 +17,8 @@ pub enum AdapterChoice {
     /// The fastest kind: discrete, integrated, virtual, then software.
     #[default]
     Auto,
+    /// The same without software adapters.
+    Hardware,
     /// Position in the list that [`adapters`] returns; past its end, part of a name ("4090").
     Index(usize),
     /// Part of the adapter's name, in any case.
@@ -25,6 +29,7 @@ impl std::fmt::Display for AdapterChoice {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Auto => f.write_str("auto"),
+            Self::Hardware => f.write_str("a hardware adapter"),
             Self::Index(i) => write!(f, "{i}"),
             Self::Name(n) => f.write_str(n),
         }
@@ -94,6 +99,8 @@ pub struct Gpu {
     uncaptured: Arc<Mutex<Option<String>>>,
     /// Bytes that wait to be uploaded.
     uploads: Mutex<u64>,
+    pub(super) poller: Poller,
+    pub(super) clock: Clock,
     /// Another text for one shader file; such a device compiles with bounds checks.
     replacement: Option<shader::Replacement>,
     modules: Mutex<HashMap<(&'static str, Variant), Arc<Module>>>,
@@ -218,6 +225,10 @@ impl Gpu {
         };
         let adapter = match &options.adapter {
             AdapterChoice::Auto => found.iter().find(|a| lacks(&a.limits()).is_empty()),
+            AdapterChoice::Hardware => found.iter().find(|a| {
+                let software = a.get_info().device_type == wgpu::DeviceType::Cpu;
+                !software && lacks(&a.limits()).is_empty()
+            }),
             AdapterChoice::Index(i) => found.get(*i).or_else(|| named(&found, &i.to_string())),
             AdapterChoice::Name(part) => named(&found, part),
         }
@@ -247,6 +258,7 @@ impl Gpu {
         device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| {
             latch.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(e.to_string());
         }));
+        let poller = Poller::new(&device);
         Ok(Arc::new(Self {
             caps: caps(&info, device.features(), &device.limits()),
             device,
@@ -256,6 +268,8 @@ impl Gpu {
             lost,
             uncaptured,
             uploads: Mutex::default(),
+            poller,
+            clock: Clock::default(),
             replacement: None,
             modules: Mutex::default(),
             pipelines: Mutex::default(),
@@ -266,6 +280,7 @@ impl Gpu {
     /// shader would change, and for trying out a shader. Nothing vouches for that text, so this
     /// device compiles every shader with bounds checks, whatever its options say.
     pub fn with_replacement(&self, replacement: shader::Replacement) -> Arc<Self> {
+        let poller = Poller::new(&self.device);
         Arc::new(Self {
             device: self.device.clone(),
             queue: self.queue.clone(),
@@ -275,6 +290,8 @@ impl Gpu {
             lost: self.lost.clone(),
             uncaptured: self.uncaptured.clone(),
             uploads: Mutex::default(),
+            poller,
+            clock: Clock::default(),
             replacement: Some(replacement),
             modules: Mutex::default(),
             pipelines: Mutex::default(),
@@ -333,6 +350,10 @@ impl Gpu {
         // All three leave the stack before the first wait: the guards are not `Send`.
         let pops = (validation.pop(), internal.pop(), memory.pop());
         let errors = [pops.0.await, pops.1.await, pops.2.await];
+        if errors.iter().any(Option::is_some) {
+            // A lost device says so in the next poll; until then it only objects.
+            let _ = self.device.poll(wgpu::PollType::Poll);
+        }
         self.check_lost()?;
         match errors.into_iter().flatten().next() {
             Some(e) => Err(Error::Driver { stage: stage.into(), message: e.to_string() }),
@@ -425,8 +446,13 @@ impl Gpu {
         Ok(module)
     }
 
-    /// Compiles what the dispatches of `recording` need and is not compiled yet, on all cores.
-    pub(super) fn compile(&self, recording: &Recording) -> Result<()> {
+    /// Compiles what the dispatches of `recording` need and is not compiled yet, on all cores, while
+    /// this thread does `meanwhile`.
+    pub(super) fn compile<T>(
+        &self,
+        recording: &Recording,
+        meanwhile: impl FnOnce() -> Result<T>,
+    ) -> Result<T> {
         let mut wanted: HashMap<PipelineKey, &Dispatch> = HashMap::new();
         for command in recording.commands() {
             if let Command::Dispatch(dispatch) = command {
@@ -434,10 +460,30 @@ impl Gpu {
                 wanted.entry(key).or_insert(dispatch);
             }
         }
-        for dispatch in wanted.values() {
-            self.pipeline(dispatch)?;
-        }
-        Ok(())
+        // Several entries of a module next to each other wait for it together.
+        let mut wanted: Vec<_> = wanted.into_iter().collect();
+        wanted.sort_by(|a, b| (a.0.2, &a.0).cmp(&(b.0.2, &b.0)));
+        let next = AtomicUsize::new(0);
+        let compile = || -> Result<()> {
+            while let Some((_, dispatch)) = wanted.get(next.fetch_add(1, Ordering::Relaxed)) {
+                self.pipeline(dispatch)?;
+            }
+            Ok(())
+        };
+        // What the driver objects to is told to the thread that asked.
+        let compile = || pollster::block_on(self.scoped("compiling shaders", compile));
+        std::thread::scope(|scope| {
+            let cores = std::thread::available_parallelism().map_or(1, usize::from);
+            let threads: Vec<_> = (0..cores).map(|_| scope.spawn(compile)).collect();
+            let result = meanwhile();
+            for thread in threads {
+                match thread.join() {
+                    Ok(compiled) => compiled?,
+                    Err(panic) => std::panic::resume_unwind(panic),
+                }
+            }
+            result
+        })
     }
 
     /// The pipeline for a dispatch, compiled on first use.

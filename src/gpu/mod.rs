@@ -4,12 +4,14 @@
 //! A [`Slot`] is one run's worth of memory, so that several pictures can be in flight.
 
 mod context;
+mod landing;
+mod native;
 mod poison;
 mod program;
-mod readback;
 mod slot;
 
 pub use context::{AdapterChoice, AdapterReport, Gpu, GpuOptions, adapters};
+pub use landing::Deadline;
 pub use poison::Poison;
 pub use program::{Profile, Program, ProgramOptions};
 pub use slot::{Inputs, RunOutput, Slot};

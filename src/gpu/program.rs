@@ -6,9 +6,10 @@ use std::sync::Arc;
 use crate::error::{Error, Result};
 use crate::gpu::context::{Gpu, Pipeline};
 use crate::graph::TensorId;
-use crate::kernels::{Command, Dispatch, Grid, Recording, Role, Storage, TensorInfo};
+use crate::kernels::{Command, Dispatch, Grid, Layout, Recording, Role, Storage, TensorInfo};
 use crate::lower::{Lowered, lifetimes};
 use crate::shader::BindingKind;
+use crate::shape::Extent;
 
 /// Uniform bindings start at multiples of this on every adapter.
 const UNIFORM_ALIGN: usize = 256;
@@ -173,7 +174,6 @@ impl Program {
         let recording = &lowered.recording;
         let limits = gpu.device.limits();
         check_sizes(recording, &limits)?;
-        gpu.compile(recording)?;
         let guard = if options.guard { GUARD_BYTES } else { 0 };
         let assignment = lifetimes::assign(recording, options.reuse && !options.guard);
         let mut program = Self {
@@ -193,22 +193,7 @@ impl Program {
             kernels: lowered.kernels.clone(),
             shared: HashMap::new(),
         };
-        let mut slots: HashMap<usize, usize> = HashMap::new();
-        for (index, info) in recording.tensors().iter().enumerate() {
-            let Some(slot) = assignment.slot[index] else { continue };
-            program.places[index] = Some(match &info.role {
-                Role::Constant(_) => Place::Fixed(program.upload(info, like, guard)?),
-                Role::Input(_) => Place::Given(TensorId(index)),
-                Role::Transient | Role::Output => {
-                    let next = program.storage.len();
-                    let at = *slots.entry(slot).or_insert(next);
-                    if at == next {
-                        program.storage.push(assignment.storage[slot]);
-                    }
-                    Place::Slot(at)
-                }
-            });
-        }
+        gpu.compile(recording, || program.put(recording, &assignment, like, guard))?;
         // The weights are on the device: nobody needs how to make them any more.
         for info in &mut program.tensors {
             if let Role::Constant(_) = info.role {
@@ -228,6 +213,34 @@ impl Program {
             });
         }
         Ok(program)
+    }
+
+    /// Gives each tensor its place, and puts the constants on the device.
+    fn put(
+        &mut self,
+        recording: &Recording,
+        assignment: &lifetimes::Assignment,
+        like: Option<&Program>,
+        guard: u64,
+    ) -> Result<()> {
+        let mut slots: HashMap<usize, usize> = HashMap::new();
+        for (index, info) in recording.tensors().iter().enumerate() {
+            let Some(slot) = assignment.slot[index] else { continue };
+            self.places[index] = Some(match &info.role {
+                Role::Constant(_) => Place::Fixed(self.upload(info, like, guard)?),
+                // Of a size of its own for each picture.
+                Role::Input(Extent::UpTo) => Place::Given(TensorId(index)),
+                Role::Input(Extent::Exact) | Role::Transient | Role::Output => {
+                    let next = self.storage.len();
+                    let at = *slots.entry(slot).or_insert(next);
+                    if at == next {
+                        self.storage.push(assignment.storage[slot]);
+                    }
+                    Place::Slot(at)
+                }
+            });
+        }
+        Ok(())
     }
 
     /// Puts a constant on the device, or finds it where it is already.
@@ -317,7 +330,13 @@ impl Program {
         let info = &self.tensors[id.0];
         let picture = dispatch.picture.filter(|_| self.batch > 1)?;
         match self.places[id.0]? {
-            Place::Slot(_) => Some((u64::from(picture) * info.stride, info.spec.bytes().max(4))),
+            Place::Slot(_) => {
+                let bytes = match info.layout {
+                    Layout::Planar => info.spec.bytes().max(4),
+                    Layout::Quads | Layout::Texture => info.stride,
+                };
+                Some((u64::from(picture) * info.stride, bytes))
+            }
             // A constant serves all pictures, and each picture's inputs are their own.
             Place::Fixed(_) | Place::Given(_) => None,
         }
@@ -337,6 +356,11 @@ impl Program {
         }
     }
 
+    /// The device.
+    pub fn gpu(&self) -> &Arc<Gpu> {
+        &self.gpu
+    }
+
     /// Pictures at a time.
     pub fn batch(&self) -> u32 {
         self.batch
@@ -351,7 +375,7 @@ impl Program {
 fn check_sizes(recording: &Recording, limits: &wgpu::Limits) -> Result<()> {
     for info in recording.tensors() {
         let (what, needed, available) = match info.storage {
-            _ if matches!(info.role, Role::Input(crate::shape::Extent::UpTo)) => continue,
+            _ if matches!(info.role, Role::Input(Extent::UpTo)) => continue,
             Storage::Buffer { bytes } => ("bytes", bytes, limits.max_storage_buffer_binding_size),
             Storage::Texture { width, height } => (
                 "texels of a side",

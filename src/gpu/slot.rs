@@ -2,15 +2,16 @@
 
 use std::collections::HashMap;
 use std::sync::Arc;
+use std::task::Waker;
 use std::time::{Duration, Instant};
 
 use crate::error::{Error, Result};
 use crate::gpu::context::Gpu;
+use crate::gpu::landing::{Deadline, Landing};
 use crate::gpu::poison::Poison;
 use crate::gpu::program::{
     GUARD_BYTES, Place, Profile, Program, ProgramOptions, Resource, Step, StepGrid,
 };
-use crate::gpu::readback;
 use crate::graph::{Graph, StageTime, TensorId};
 use crate::kernels::{Layout, Quads, Role, Storage};
 use crate::lower::{Choice, Request, lower};
@@ -50,7 +51,7 @@ pub struct Slot {
     staging_bytes: u64,
     timestamps: Option<Timestamps>,
     poison: Poison,
-    in_flight: Option<(wgpu::SubmissionIndex, Instant)>,
+    in_flight: Option<Landing>,
 }
 
 struct Timestamps {
@@ -152,17 +153,51 @@ impl Slot {
         self.poison = poison;
     }
 
-    /// [`Slot::submit`] of one picture and [`Slot::receive`].
+    /// [`Slot::submit`] of one picture and [`Slot::receive`], within the device's time limit.
     ///
     /// # Errors
     /// As both.
     pub fn run(&mut self, inputs: &Inputs) -> Result<RunOutput> {
-        self.submit(&[inputs])?;
-        self.receive()
+        let deadline = Deadline::after(self.program.gpu.timeout());
+        pollster::block_on(async {
+            self.recover(deadline).await?;
+            self.submit(&[inputs])?;
+            self.receive(deadline).await
+        })
+    }
+
+    /// Whether no run is under way.
+    pub fn is_free(&self) -> bool {
+        self.in_flight.as_ref().is_none_or(Landing::is_over)
+    }
+
+    /// Wakes `waker` when no run is under way any more.
+    pub fn wake_when_free(&self, waker: &Waker) {
+        match &self.in_flight {
+            Some(landing) => landing.wake_when_over(waker),
+            None => waker.wake_by_ref(),
+        }
+    }
+
+    /// Waits for a run that nobody received, and forgets it.
+    ///
+    /// # Errors
+    /// [`Error::Timeout`] if it does not end in time, [`Error::DeviceLost`].
+    pub async fn recover(&mut self, deadline: Deadline) -> Result<()> {
+        if let Some(landing) = &self.in_flight {
+            match landing.wait(&self.program.gpu, deadline, "an earlier picture").await {
+                // What became of that run concerns nobody.
+                Ok(()) | Err(Error::Driver { .. }) => {}
+                Err(e) => return Err(e),
+            }
+            self.staging.unmap();
+            self.in_flight = None;
+        }
+        Ok(())
     }
 
     /// Uploads the inputs of each picture and starts the run. There may be fewer pictures than the
-    /// program's batch: the last is then repeated.
+    /// program's batch: they are then repeated.
     ///
     /// # Errors
     /// [`Error::Tensor`] if an input is missing, unknown or of another shape, or if a run is under way;
@@ -182,7 +217,7 @@ impl Slot {
         for inputs in pictures {
             self.check(inputs)?;
         }
-        let submission = pollster::block_on(gpu.scoped("running the network", || {
+        let landing = pollster::block_on(gpu.scoped("running the network", || {
             self.fill();
             for (picture, inputs) in (0..program.batch).zip(pictures.iter().cycle()) {
                 for (id, value) in *inputs {
@@ -190,9 +225,11 @@ impl Slot {
                 }
             }
             self.bind();
-            Ok(gpu.queue.submit([self.encode()]))
-        }))?;
-        self.in_flight = Some((submission, start));
+            let submission = gpu.queue.submit([self.encode()]);
+            Ok(Landing::new(gpu, &self.staging, self.staging_bytes, submission, start))
+        }));
+        // A map that is still pending would make every later submit fail.
+        self.in_flight = Some(landing.inspect_err(|_| self.staging.unmap())?);
         Ok(())
     }
 
@@ -216,8 +253,24 @@ impl Slot {
         }
     }
 
-    /// Writes an input of a picture, in a larger buffer if it needs one.
+    /// Writes an input of a picture.
     fn give(&mut self, id: TensorId, picture: u32, value: &Value) {
+        let program = self.program.clone();
+        match program.places[id.0] {
+            Some(Place::Given(_)) => self.give_alone(id, picture, value),
+            Some(place) => {
+                if let Some(Resource::Buffer(buffer)) = self.resource(place, picture) {
+                    let offset = u64::from(picture) * program.tensors[id.0].stride;
+                    program.gpu.queue.write_buffer(&buffer, offset, value.bytes());
+                }
+            }
+            // Nothing reads it.
+            None => {}
+        }
+    }
+
+    /// Writes an input of a size of its own, in a larger buffer if it needs one.
+    fn give_alone(&mut self, id: TensorId, picture: u32, value: &Value) {
         let program = self.program.clone();
         let gpu = &program.gpu;
         let bytes = value.bytes().len().max(4) as u64;
@@ -427,20 +480,39 @@ impl Slot {
         }
     }
 
-    /// Waits for the run that was submitted, and reads its outputs.
+    /// Waits for the run that was submitted, and reads its outputs. After [`Error::Timeout`] the run
+    /// is still under way, and [`Slot::recover`] waits for its end.
     ///
     /// # Errors
-    /// [`Error::Tensor`] if none was; [`Error::DeviceLost`], [`Error::Timeout`] or [`Error::Driver`]
-    /// from the device.
-    pub fn receive(&mut self) -> Result<RunOutput> {
+    /// [`Error::Tensor`] if none was submitted; [`Error::DeviceLost`], [`Error::Timeout`] or
+    /// [`Error::Driver`] from the device.
+    pub async fn receive(&mut self, deadline: Deadline) -> Result<RunOutput> {
         let none = || Error::tensor("run", "slot", "a run under way", "none");
-        let (submission, start) = self.in_flight.take().ok_or_else(none)?;
-        let gpu = &self.program.gpu;
-        let bytes =
-            readback::read(gpu, &self.staging, self.staging_bytes, submission, "the network")?;
+        let landing = self.in_flight.take().ok_or_else(none)?;
+        let gpu = self.program.gpu.clone();
+        if let Err(e) = landing.wait(&gpu, deadline, "the network").await {
+            match e {
+                Error::Timeout { .. } => self.in_flight = Some(landing),
+                _ => self.staging.unmap(),
+            }
+            return Err(e);
+        }
+        let output = self.read(&landing);
+        self.staging.unmap();
+        output
+    }
+
+    fn read(&self, landing: &Landing) -> Result<RunOutput> {
+        let slice = self.staging.slice(..self.staging_bytes);
+        let refused = |e: wgpu::MapRangeError| {
+            let stage = "reading what the network gave".into();
+            Error::Driver { stage, message: e.to_string() }
+        };
+        let bytes = slice.get_mapped_range().map_err(refused)?;
         let values = (0..self.program.batch).map(|picture| self.collect(&bytes, picture));
         let values = values.collect::<Result<_>>()?;
-        Ok(RunOutput { values, stages: self.times(gpu, &bytes), wall: start.elapsed() })
+        let stages = self.times(&self.program.gpu, &bytes);
+        Ok(RunOutput { values, stages, wall: landing.start.elapsed() })
     }
 
     fn collect(&self, bytes: &[u8], picture: u32) -> Result<HashMap<TensorId, Value>> {

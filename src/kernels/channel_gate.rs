@@ -10,6 +10,7 @@ shader_params! {
     struct Params {
         channels: u32,
         hidden: u32,
+        zero: u32,
     }
 }
 
@@ -51,7 +52,7 @@ impl Kernel for Planar {
                 available: CAPACITY as u64,
             });
         }
-        let params = Params { channels: channels as u32, hidden: hidden as u32 };
+        let params = Params { channels: channels as u32, hidden: hidden as u32, zero: 0 };
         let mut bindings: Vec<_> = op.inputs().into_iter().zip(inputs.iter().copied()).collect();
         bindings.push(("output", outputs[0]));
         let grid = Grid::Workgroups([1, 1, 1]);

@@ -247,9 +247,12 @@ impl Recording {
         quads.ok_or_else(|| Error::tensor("layout", &info.name, "a map [C, H, W]", &info.spec))
     }
 
-    /// Elements from one picture to the next in a planar tensor.
+    /// Elements from one picture to the next in a planar tensor; 0 for a constant, which all share.
     pub fn stride(&self, id: TensorId) -> u32 {
-        (self.info(id).stride / 4) as u32
+        match self.info(id).role {
+            Role::Constant(_) => 0,
+            _ => (self.info(id).stride / 4) as u32,
+        }
     }
 
     /// Adds a buffer that lives between two dispatches of one operation.

@@ -11,6 +11,7 @@ shader_params! {
         inputs: u32,
         hidden: u32,
         scales: u32,
+        zero: u32,
     }
 }
 
@@ -59,7 +60,8 @@ impl Kernel for Planar {
                 });
             }
         }
-        let params = Params { inputs: length as u32, hidden: hidden as u32, scales: scales as u32 };
+        let params =
+            Params { inputs: length as u32, hidden: hidden as u32, scales: scales as u32, zero: 0 };
         let mut bindings: Vec<_> = op.inputs().into_iter().zip(inputs.iter().copied()).collect();
         bindings.push(("output", outputs[0]));
         let grid = Grid::Workgroups([1, 1, 1]);

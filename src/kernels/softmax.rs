@@ -12,6 +12,7 @@ shader_params! {
     struct Params {
         rows: u32,
         columns: u32,
+        zero: u32,
     }
 }
 
@@ -47,7 +48,7 @@ impl Kernel for Planar {
         let count = count_tensor(recording, given, rows);
         let grid = row_grid(recording, given, rows, LANES as usize, LANES)?;
         let bindings = [("input", inputs[0]), ("count", count), ("output", outputs[0])];
-        let params = Params { rows: rows as u32, columns: columns as u32 };
+        let params = Params { rows: rows as u32, columns: columns as u32, zero: 0 };
         recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }

@@ -10,6 +10,7 @@ shader_params! {
     struct Params {
         height: u32,
         width: u32,
+        zero: u32,
     }
 }
 
@@ -20,7 +21,7 @@ static SHADER: Shader = Shader {
 };
 
 /// Pixels of a row that one invocation computes.
-const PIXELS: usize = 4;
+const PIXELS: usize = 8;
 
 /// The definition, on planar maps.
 #[derive(Debug)]
@@ -44,7 +45,7 @@ impl Kernel for Planar {
     ) -> Result<()> {
         let _op: &SpatialGate = work.op()?;
         let [height, width] = [1, 2].map(|i| recording.dims(inputs[0])[i]);
-        let params = Params { height: height as u32, width: width as u32 };
+        let params = Params { height: height as u32, width: width as u32, zero: 0 };
         let bindings = [
             ("pooled", inputs[0]),
             ("weight", inputs[1]),

@@ -14,6 +14,7 @@ shader_params! {
         area: u32,
         k: u32,
         sort_size: u32,
+        zero: u32,
     }
 }
 
@@ -77,6 +78,7 @@ pub(super) fn record(
         area: area as u32,
         k: k as u32,
         sort_size: k.next_power_of_two() as u32,
+        zero: 0,
     };
     let bindings = [
         ("scores", inputs[0]),

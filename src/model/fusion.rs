@@ -6,6 +6,7 @@ use crate::model::cbam::cbam;
 use crate::model::layers::{conv_bn, convolve};
 use crate::model::weights::{Folded, Weights};
 use crate::ops::{Conv2d, GlobalAvgPool, ScaleWeights, UpsampleBilinear, WeightedSum};
+use crate::shape::TensorSpec;
 use crate::tensor::Tensor;
 
 /// Channels of each scale after its convolution, and of the fused map.
@@ -59,20 +60,22 @@ pub(super) fn fusion(
 /// layer when loading, in f64. It then reads the three averages side by side.
 fn scale_weights(graph: &mut Graph, weights: &mut Weights, maps: &[TensorId]) -> Result<TensorId> {
     graph.begin_stage("reweight");
-    let fc1 = weights.take_biased("reweight.fc1", [REDUCED, 3 * REDUCED])?;
+    let weight = weights.take("reweight.fc1.weight", [REDUCED, 3 * REDUCED])?;
+    let bias = weights.take("reweight.fc1.bias", [REDUCED])?;
     let fc2 = weights.take_biased("reweight.fc2", [3, REDUCED])?;
     let mut sums = vec![0f64; REDUCED * 3 * CHANNELS];
-    let mut bias: Vec<f64> = fc1.bias.data().iter().map(|b| f64::from(*b)).collect();
+    let mut bias: Vec<f64> = bias.data().iter().map(|b| f64::from(*b)).collect();
     for scale in 0..3 {
         let name = format!("reweight.reduce{}", scale + 1);
-        let reduce = weights.take_biased(&name, [REDUCED, CHANNELS, 1, 1])?;
+        let reduce = weights.take(&format!("{name}.weight"), [REDUCED, CHANNELS, 1, 1])?;
+        let reduce_bias = weights.take(&format!("{name}.bias"), [REDUCED])?;
         for hidden in 0..REDUCED {
-            let row = &fc1.weight.data()[hidden * 3 * REDUCED + scale * REDUCED..][..REDUCED];
+            let row = &weight.data()[hidden * 3 * REDUCED + scale * REDUCED..][..REDUCED];
             let to = &mut sums[hidden * 3 * CHANNELS + scale * CHANNELS..][..CHANNELS];
             for (k, w) in row.iter().enumerate() {
                 let w = f64::from(*w);
-                bias[hidden] += w * f64::from(reduce.bias.data()[k]);
-                for (sum, r) in to.iter_mut().zip(&reduce.weight.data()[k * CHANNELS..]) {
+                bias[hidden] += w * f64::from(reduce_bias.data()[k]);
+                for (sum, r) in to.iter_mut().zip(&reduce.data()[k * CHANNELS..]) {
                     *sum += w * f64::from(*r);
                 }
             }
@@ -103,13 +106,16 @@ fn reduce_concatenation(
     let total = weights.take_biased("fusion.reduce", [CHANNELS, 3 * CHANNELS, 1, 1])?;
     let mut sum = None;
     for (scale, map) in maps.iter().enumerate() {
-        let weight = Tensor::from_fn([CHANNELS, CHANNELS, 1, 1], |i| {
-            let (out, channel) = (i / CHANNELS, i % CHANNELS);
-            total.weight.data()[(out * 3 + scale) * CHANNELS + channel]
+        let shape = [CHANNELS, CHANNELS, 1, 1];
+        let weight = total.weight.packed(TensorSpec::f32(shape), move |total| {
+            Tensor::from_fn(shape, |i| {
+                let (out, channel) = (i / CHANNELS, i % CHANNELS);
+                total.data()[(out * 3 + scale) * CHANNELS + channel]
+            })
         });
         let bias = match scale {
             0 => total.bias.clone(),
-            _ => Tensor::zeros([CHANNELS]),
+            _ => Tensor::<f32>::zeros([CHANNELS]).into(),
         };
         let op = Conv2d { residual: sum.is_some(), ..Conv2d::default() };
         let inputs: Vec<_> = [*map].into_iter().chain(sum).collect();

@@ -1,16 +1,20 @@
 //! Reading a weight file: safetensors, names as in PyTorch's state dict, f16 or f32.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
+use half::slice::HalfFloatSliceExt;
 use safetensors::{Dtype, SafeTensors};
 
 use crate::error::{Error, Result};
 use crate::files;
 use crate::model::config::ModelConfig;
-use crate::shape::Shape;
-use crate::tensor::Tensor;
+use crate::shape::{Shape, TensorSpec};
+use crate::tensor::{Constant, Tensor};
 
 /// Epsilon of PyTorch's batch norm.
 const BN_EPS: f64 = 1e-5;
@@ -23,6 +27,8 @@ const MAX_TENSORS: usize = 4096;
 
 /// The tensors of a weight file and its configuration. Building a network takes the tensors out one
 /// by one, so what is missing, misshapen or left over is noticed.
+///
+/// The file's bytes stay as they are: a tensor is unpacked when somebody wants its values.
 #[derive(Clone)]
 pub struct Weights {
     file: PathBuf,
@@ -32,8 +38,74 @@ pub struct Weights {
 
 #[derive(Clone)]
 enum Source {
-    File(BTreeMap<String, Tensor>),
+    File(BTreeMap<String, Stored>),
     Random(u32),
+}
+
+/// Bytes that somebody holds.
+type Bytes = Arc<dyn AsRef<[u8]> + Send + Sync>;
+
+/// A tensor as it lies in a weight file.
+#[derive(Clone)]
+struct Stored {
+    bytes: Bytes,
+    range: Range<usize>,
+    half: bool,
+    shape: Shape,
+    /// The largest absolute value.
+    largest: f32,
+}
+
+impl Stored {
+    /// The tensor, unpacked.
+    fn tensor(&self) -> Tensor {
+        let bytes: &[u8] = (*self.bytes).as_ref();
+        let bytes = &bytes[self.range.clone()];
+        if self.half {
+            // The tensors of a file need not lie where their elements may.
+            let values: Cow<[half::f16]> = match bytemuck::try_cast_slice(bytes) {
+                Ok(values) => values.into(),
+                Err(_) => bytemuck::pod_collect_to_vec(bytes).into(),
+            };
+            let mut tensor = Tensor::zeros(self.shape.clone());
+            values.convert_to_f32_slice(tensor.data_mut());
+            return tensor;
+        }
+        Tensor::from_fn(self.shape.clone(), |i| {
+            f32::from_le_bytes(std::array::from_fn(|k| bytes[4 * i + k]))
+        })
+    }
+}
+
+/// A tensor that was taken out of the weights and not unpacked yet.
+#[derive(Clone)]
+enum Taken {
+    Stored(Stored),
+    Random { name: String, shape: Shape, seed: u32 },
+}
+
+impl Taken {
+    fn shape(&self) -> &Shape {
+        match self {
+            Self::Stored(stored) => &stored.shape,
+            Self::Random { shape, .. } => shape,
+        }
+    }
+
+    fn tensor(&self) -> Tensor {
+        match self {
+            Self::Stored(stored) => stored.tensor(),
+            Self::Random { name, shape, seed } => random_tensor(name, shape.clone(), *seed),
+        }
+    }
+
+    /// No absolute value is larger.
+    fn largest(&self) -> f32 {
+        match self {
+            Self::Stored(stored) => stored.largest,
+            Self::Random { .. } => 4.0,
+        }
+    }
 }
 
 impl fmt::Debug for Weights {
@@ -52,9 +124,9 @@ impl fmt::Debug for Weights {
 #[derive(Clone, Debug)]
 pub struct Folded {
     /// Weight, scaled by the batch norm.
-    pub weight: Tensor,
+    pub weight: Constant,
     /// Bias.
-    pub bias: Tensor,
+    pub bias: Constant,
 }
 
 impl Weights {
@@ -66,7 +138,7 @@ impl Weights {
     pub fn open(path: &Path) -> Result<Self> {
         let bytes = files::read(path, MAX_FILE)
             .map_err(|e| Error::Weights { file: path.into(), message: e.to_string() })?;
-        Self::from_bytes(path, &bytes)
+        Self::from_shared(path, Arc::new(bytes))
     }
 
     /// Reads weights from memory; `name` stands for the file in messages.
@@ -74,6 +146,15 @@ impl Weights {
     /// # Errors
     /// As [`Weights::open`].
     pub fn from_bytes(name: &Path, bytes: &[u8]) -> Result<Self> {
+        Self::from_shared(name, Arc::new(bytes.to_vec()))
+    }
+
+    /// [`Weights::from_bytes`] of bytes that are not copied.
+    ///
+    /// # Errors
+    /// As [`Weights::open`].
+    pub fn from_shared(name: &Path, shared: Bytes) -> Result<Self> {
+        let bytes: &[u8] = (*shared).as_ref();
         let fail = |message: String| Error::Weights { file: name.into(), message };
         check_length(bytes).map_err(fail)?;
         let (_, header) = SafeTensors::read_metadata(bytes)
@@ -89,26 +170,42 @@ impl Weights {
             .map_err(|e| fail(format!("not a whole safetensors file: {e}")))?;
         let mut tensors = BTreeMap::new();
         for (tensor_name, view) in parsed.iter() {
-            let data: Vec<f32> = match view.dtype() {
-                Dtype::F16 => bytemuck::pod_collect_to_vec::<u8, half::f16>(view.data())
-                    .into_iter()
-                    .map(half::f16::to_f32)
-                    .collect(),
-                Dtype::F32 => bytemuck::pod_collect_to_vec(view.data()),
+            let data = view.data();
+            // Of finite floats the larger has the larger bits, but for the sign.
+            let (half, largest) = match view.dtype() {
+                Dtype::F16 => {
+                    let bits = data.chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]]));
+                    let bits = bits.map(|b| b & 0x7fff).max().unwrap_or(0);
+                    (true, half::f16::from_bits(bits).to_f32())
+                }
+                Dtype::F32 => {
+                    let word = |b: &[u8]| u32::from_le_bytes([b[0], b[1], b[2], b[3]]);
+                    let bits = data.chunks_exact(4).map(|b| word(b) & 0x7fff_ffff).max();
+                    (false, f32::from_bits(bits.unwrap_or(0)))
+                }
                 other => {
                     let message =
                         format!("tensor `{tensor_name}`: expected F16 or F32, got {other:?}");
                     return Err(fail(message));
                 }
             };
-            if let Some(at) = data.iter().position(|v| !v.is_finite()) {
-                let got = data[at];
+            let first = data.as_ptr() as usize - bytes.as_ptr() as usize;
+            let stored = Stored {
+                bytes: shared.clone(),
+                range: first..first + data.len(),
+                half,
+                shape: Shape(view.shape().to_vec()),
+                largest,
+            };
+            if !largest.is_finite() {
+                let tensor = stored.tensor();
+                let at = tensor.data().iter().position(|v| !v.is_finite()).unwrap_or(0);
+                let got = tensor.data()[at];
                 let message =
                     format!("tensor `{tensor_name}`: expected finite values, got {got} at {at}");
                 return Err(fail(message));
             }
-            let tensor = Tensor::new(Shape(view.shape().to_vec()), data)?;
-            tensors.insert(tensor_name.to_owned(), tensor);
+            tensors.insert(tensor_name.to_owned(), stored);
         }
         Ok(Self { file: name.into(), config, tensors: Source::File(tensors) })
     }
@@ -150,17 +247,23 @@ impl Weights {
     /// # Errors
     /// [`Error::Weights`] if it is missing or has another shape.
     pub fn take(&mut self, name: &str, shape: impl Into<Shape>) -> Result<Tensor> {
+        Ok(self.take_packed(name, shape)?.tensor())
+    }
+
+    fn take_packed(&mut self, name: &str, shape: impl Into<Shape>) -> Result<Taken> {
         let shape = shape.into();
         let tensors = match &mut self.tensors {
             Source::File(tensors) => tensors,
-            Source::Random(seed) => return Ok(random_tensor(name, shape, *seed)),
+            Source::Random(seed) => {
+                return Ok(Taken::Random { name: name.into(), shape, seed: *seed });
+            }
         };
         match tensors.remove(name) {
             None => Err(self.fail(format!("tensor `{name}`: expected {shape}, got none"))),
-            Some(t) if *t.shape() != shape => {
-                Err(self.fail(format!("tensor `{name}`: expected {shape}, got {}", t.shape())))
+            Some(t) if t.shape != shape => {
+                Err(self.fail(format!("tensor `{name}`: expected {shape}, got {}", t.shape)))
             }
-            Some(t) => Ok(t),
+            Some(t) => Ok(Taken::Stored(t)),
         }
     }
 
@@ -170,8 +273,8 @@ impl Weights {
     /// # Errors
     /// As [`Weights::take`], for a negative variance, and for what overflows when folded.
     pub fn take_folded(&mut self, conv: &str, bn: &str, shape: impl Into<Shape>) -> Result<Folded> {
-        let mut weight = self.take(&format!("{conv}.weight"), shape)?;
-        let channels = weight.dims()[0];
+        let weight = self.take_packed(&format!("{conv}.weight"), shape)?;
+        let channels = weight.shape().0[0];
         let gamma = self.take(&format!("{bn}.weight"), [channels])?;
         let beta = self.take(&format!("{bn}.bias"), [channels])?;
         let mean = self.take(&format!("{bn}.running_mean"), [channels])?;
@@ -180,20 +283,29 @@ impl Weights {
             let message = format!("tensor `{bn}.running_var`: expected at least 0, got {v}");
             return Err(self.fail(message));
         }
-        let per_channel = weight.shape().elements() / channels.max(1);
-        let mut bias = Tensor::zeros([channels]);
-        for c in 0..channels {
-            let at = |t: &Tensor| f64::from(t.data()[c]);
-            let scale = at(&gamma) / (at(&var) + BN_EPS).sqrt();
-            for w in &mut weight.data_mut()[c * per_channel..(c + 1) * per_channel] {
-                *w = (f64::from(*w) * scale) as f32;
+        let at = |t: &Tensor, c: usize| f64::from(t.data()[c]);
+        let scales: Vec<f64> =
+            (0..channels).map(|c| at(&gamma, c) / (at(&var, c) + BN_EPS).sqrt()).collect();
+        let bias =
+            Tensor::from_fn([channels], |c| (at(&beta, c) - at(&mean, c) * scales[c]) as f32);
+        let largest = scales.iter().fold(0.0, |a: f64, s| a.max(s.abs()));
+        let safe = ((f64::from(weight.largest()) * largest) as f32).is_finite();
+        let spec = TensorSpec::f32(weight.shape().clone());
+        let fold = move || {
+            let mut weight = weight.tensor();
+            let per_channel = weight.shape().elements() / channels.max(1);
+            for (c, row) in weight.data_mut().chunks_exact_mut(per_channel.max(1)).enumerate() {
+                row.iter_mut().for_each(|w| *w = (f64::from(*w) * scales[c]) as f32);
             }
-            bias.data_mut()[c] = (at(&beta) - at(&mean) * scale) as f32;
+            weight
+        };
+        // Where no weight can overflow, none is unpacked to look.
+        if !safe {
+            self.check_finite(&format!("{conv}.weight` with `{bn}"), &fold())?;
         }
-        for (part, tensor) in [("weight", &weight), ("bias", &bias)] {
-            self.check_finite(&format!("{conv}.{part}` with `{bn}"), tensor)?;
-        }
-        Ok(Folded { weight, bias })
+        self.check_finite(&format!("{conv}.bias` with `{bn}"), &bias)?;
+        let weight = Constant::made(spec, move || Ok(fold().into()));
+        Ok(Folded { weight, bias: bias.into() })
     }
 
     /// Refuses what overflowed when tensors of the file, each finite, were put together.
@@ -217,9 +329,11 @@ impl Weights {
     /// # Errors
     /// As [`Weights::take`].
     pub fn take_biased(&mut self, layer: &str, shape: impl Into<Shape>) -> Result<Folded> {
-        let weight = self.take(&format!("{layer}.weight"), shape)?;
-        let bias = self.take(&format!("{layer}.bias"), [weight.dims()[0]])?;
-        Ok(Folded { weight, bias })
+        let weight = self.take_packed(&format!("{layer}.weight"), shape)?;
+        let bias = self.take(&format!("{layer}.bias"), [weight.shape().0[0]])?;
+        let spec = TensorSpec::f32(weight.shape().clone());
+        let weight = Constant::made(spec, move || Ok(weight.tensor().into()));
+        Ok(Folded { weight, bias: bias.into() })
     }
 
     /// Refuses tensors that the network has no place for.

@@ -3,7 +3,7 @@
 use crate::cpu;
 use crate::error::Result;
 use crate::ops::bounds::sum_error;
-use crate::ops::case::{Case, GATED_MAPS, one_way, random, random_scaled, values};
+use crate::ops::case::{Case, GATED_MAPS, STACKED, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, expect, map_dims};
 use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
@@ -80,6 +80,16 @@ fn cases() -> Vec<Case> {
             ],
         )
         .by_hand(vec![values([2, 1, 2], &[0.5, 0.5, -0.75, 0.5])]),
+        Case::new(
+            "four channels of two pixels by hand",
+            ApplyGates,
+            vec![
+                values([4, 1, 2], &[1.0, 2.0, -3.0, 4.0, 5.0, 6.0, 0.5, -8.0]),
+                values([4], &[0.5, 0.25, 1.0, 2.0]),
+                values([1, 1, 2], &[1.0, 0.5]),
+            ],
+        )
+        .by_hand(vec![values([4, 1, 2], &[0.5, 0.5, -0.75, 0.5, 5.0, 3.0, 1.0, -8.0])]),
     ];
     let shapes = [
         ("one of everything", [1, 1, 1], 1.0),
@@ -88,6 +98,8 @@ fn cases() -> Vec<Case> {
         ("65 elements: a workgroup and one", [13, 1, 5], 1.0),
         ("1e30", [3, 5, 7], 1e30),
         ("1e-30", [3, 5, 7], 1e-30),
+        ("twelve channels of prime sizes", [12, 17, 19], 1.0),
+        ("quads side by side", STACKED, 1.0),
     ];
     for (i, (name, dims, scale)) in shapes.into_iter().enumerate() {
         let seed = i as u64 * 10;

@@ -169,6 +169,10 @@ pub fn random(seed: u64, shape: impl Into<Shape>) -> Tensor {
     Tensor::from_fn(shape, |_| rng.random_range(-1.0..1.0))
 }
 
+/// A map whose quads, one below the other, are more rows than a texture has (for two pictures than any
+/// has), so that they stand side by side.
+pub const STACKED: [usize; 3] = [1024, 65, 3];
+
 /// Channels and edge of each map that passes through a CBAM of the network.
 pub const GATED_MAPS: [(usize, usize); 7] =
     [(64, 160), (64, 80), (128, 40), (256, 20), (512, 10), (256, 40), (256, 10)];

@@ -3,7 +3,7 @@
 use crate::cpu;
 use crate::error::Result;
 use crate::ops::bounds::{PARTIAL_SUMS, SumOrder, magnitude, mean_error};
-use crate::ops::case::{Case, GATED_MAPS, one_way, random, random_scaled, values};
+use crate::ops::case::{Case, GATED_MAPS, STACKED, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, map_dims};
 use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
@@ -52,12 +52,22 @@ impl Op for ChannelPool {
     }
 
     /// Averages in [`PARTIAL_SUMS`] parts: one after the other, 160 × 160 values would lose 1.5e-3.
-    /// Maxima are inputs, so exact.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        Self::averaged(inputs, |height, width| SumOrder::dealt(height * width, PARTIAL_SUMS))
+    }
+}
+
+impl ChannelPool {
+    /// The bounds where the sum over a map of this height and width has this order. Maxima are
+    /// inputs, so exact.
+    pub(crate) fn averaged(
+        inputs: &[&Value],
+        order: impl Fn(usize, usize) -> SumOrder,
+    ) -> Result<Vec<Tolerance>> {
         let sizes = magnitude(inputs[0])?;
         let [channels, height, width] = [0, 1, 2].map(|i| sizes.dims()[i]);
         let means = cpu::global_avg_pool(&sizes);
-        let order = SumOrder::dealt(height * width, PARTIAL_SUMS);
+        let order = order(height, width);
         let averages = means.data().iter().map(|m| mean_error(order, f64::from(*m)));
         Ok(vec![Tolerance::Each(averages.chain(vec![0.0; channels]).collect())])
     }
@@ -86,6 +96,8 @@ fn cases() -> Vec<Case> {
         ("deep and small, as conv5_x", [512, 10, 10]),
         ("wide, as conv1", [5, 160, 160]),
         ("65 537 channels: a grid folded to two dimensions", [65_537, 1, 1]),
+        ("quads side by side", STACKED),
+        ("41 rows: three chunks, the last a row short", [6, 41, 9]),
     ];
     for (i, (name, dims)) in shapes.into_iter().enumerate() {
         cases.push(Case::new(name, ChannelPool, vec![random(i as u64, dims).into()]));

@@ -70,6 +70,18 @@ impl Conv2d {
         let residual = self.residual.then(|| &inputs[2 + usize::from(self.bias)]);
         (&inputs[0], &inputs[1], bias, residual)
     }
+
+    /// How far each output may be from the reference's, of a kernel that sums in this order.
+    pub(crate) fn summed(&self, inputs: &[&Value], order: SumOrder) -> Result<Vec<Tolerance>> {
+        let (input, weight, bias, residual) = self.split(inputs);
+        let bias = bias.map(|v| magnitude(v)).transpose()?;
+        let residual = residual.map(|v| magnitude(v)).transpose()?;
+        let (input, weight) = (magnitude(input)?, magnitude(weight)?);
+        let sums =
+            cpu::conv2d(&input, &weight, bias.as_ref(), residual.as_ref(), self.shape(), false);
+        let each = sums.data().iter().map(|s| order.error(f64::from(*s)));
+        Ok(vec![Tolerance::Each(each.collect())])
+    }
 }
 
 impl Op for Conv2d {
@@ -131,20 +143,18 @@ impl Op for Conv2d {
 
     /// The shader sums the channels of each tap, then the taps, then bias and residual.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
-        let (input, weight, bias, residual) = self.split(inputs);
-        let bias = bias.map(|v| magnitude(v)).transpose()?;
-        let residual = residual.map(|v| magnitude(v)).transpose()?;
-        let (input, weight) = (magnitude(input)?, magnitude(weight)?);
-        let [_, terms, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
-        let order = SumOrder { terms, parts: kh * kw, joined: Joined::InOrder, more: 2 };
-        let sums =
-            cpu::conv2d(&input, &weight, bias.as_ref(), residual.as_ref(), self.shape(), false);
-        let each = sums.data().iter().map(|s| order.error(f64::from(*s)));
-        Ok(vec![Tolerance::Each(each.collect())])
+        let weight = self.split(inputs).1.spec();
+        let [_, terms, kh, kw] = [0, 1, 2, 3].map(|i| weight.shape.0[i]);
+        self.summed(inputs, SumOrder { terms, parts: kh * kw, joined: Joined::InOrder, more: 2 })
     }
 
     fn unbiased(&self) -> bool {
         true
+    }
+
+    fn multiply_adds(&self, inputs: &[TensorSpec], outputs: &[TensorSpec]) -> u64 {
+        let each: usize = inputs[1].shape.0[1..].iter().product();
+        (outputs[0].shape.elements() * each) as u64
     }
 }
 

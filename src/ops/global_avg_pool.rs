@@ -3,7 +3,7 @@
 use crate::cpu;
 use crate::error::Result;
 use crate::ops::bounds::{PARTIAL_SUMS, SumOrder, magnitude, mean_error};
-use crate::ops::case::{Case, one_way, random, random_scaled, values};
+use crate::ops::case::{Case, STACKED, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, map_dims};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
@@ -68,11 +68,20 @@ impl Op for GlobalAvgPool {
 
     /// A mean in [`PARTIAL_SUMS`] parts: one after the other, 160 × 160 values would lose 1.5e-3.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        Self::averaged(inputs, |height, width| SumOrder::dealt(height * width, PARTIAL_SUMS))
+    }
+}
+
+impl GlobalAvgPool {
+    /// The bounds where the sum over a map of this height and width has this order.
+    pub(crate) fn averaged(
+        inputs: &[&Value],
+        order: impl Fn(usize, usize) -> SumOrder,
+    ) -> Result<Vec<Tolerance>> {
         let mut each = Vec::new();
         for input in inputs {
             let sizes = magnitude(input)?;
-            let area = sizes.dims()[1] * sizes.dims()[2];
-            let order = SumOrder::dealt(area, PARTIAL_SUMS);
+            let order = order(sizes.dims()[1], sizes.dims()[2]);
             let means = cpu::global_avg_pool(&sizes);
             each.extend(means.data().iter().map(|m| mean_error(order, f64::from(*m))));
         }
@@ -115,6 +124,7 @@ fn cases() -> Vec<Case> {
         ("prime sizes", [61, 31, 37]),
         ("as in the re-weighting", [64, 40, 40]),
         ("65 537 channels: a grid folded to two dimensions", [65_537, 1, 1]),
+        ("quads side by side", STACKED),
     ];
     for (i, (name, dims)) in shapes.into_iter().enumerate() {
         cases.push(Case::new(name, ONE, vec![random(i as u64, dims).into()]));

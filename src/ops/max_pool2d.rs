@@ -2,7 +2,7 @@
 
 use crate::cpu;
 use crate::error::{Error, Result};
-use crate::ops::case::{Case, one_way, random, random_scaled, values};
+use crate::ops::case::{Case, STACKED, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, map_dims};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
@@ -143,6 +143,7 @@ fn cases() -> Vec<Case> {
         ("65 outputs", op(2, 2, 0), [5, 2, 26]),
         ("windows apart", op(2, 5, 1), [2, 13, 17]),
         ("5x5, overlapping", op(5, 1, 2), [2, 11, 3]),
+        ("quads side by side", op(3, 2, 1), STACKED),
     ];
     for (i, (name, op, dims)) in shapes.into_iter().enumerate() {
         cases.push(Case::new(name, op, vec![random(i as u64, dims).into()]));

@@ -3,7 +3,7 @@
 use crate::cpu::{self, RoiGrid};
 use crate::error::{Error, Result};
 use crate::ops::boxes::row;
-use crate::ops::case::{Case, integers, random, random_boxes, values};
+use crate::ops::case::{Case, STACKED, integers, random, random_boxes, values};
 use crate::ops::count::{expect_count, live};
 use crate::ops::op::{EPS, Entry, Op, Tolerance, dims};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
@@ -274,6 +274,7 @@ fn cases() -> Vec<Case> {
         ("primes", [7, 17, 19], 11, 76.0, 60.0, 5, 3, 10),
         ("as the RoI head", [64, 40, 40], 23, 160.0, 90.0, 7, 2, 19),
         ("partly outside", [5, 8, 9], 31, 64.0, 40.0, 7, 2, u32::MAX),
+        ("quads side by side", STACKED, 5, 200.0, 40.0, 2, 2, 4),
     ];
     for (seed, (name, shape, rois, extent, side, output_size, ratio, count)) in
         sets.into_iter().enumerate()

@@ -3,7 +3,7 @@
 use crate::cpu;
 use crate::error::Result;
 use crate::ops::bounds::{SumOrder, magnitude, mean_error, sum_error};
-use crate::ops::case::{Case, GATED_MAPS, one_way, random, random_scaled, values};
+use crate::ops::case::{Case, GATED_MAPS, STACKED, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, expect, map_dims};
 use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
@@ -56,14 +56,24 @@ impl Op for SpatialPool {
         Ok(vec![cpu::spatial_pool(inputs[0].f32()?, inputs[1].f32()?).into()])
     }
 
-    /// A maximum is one product, so one rounding (and the reference's own) of the largest of all;
-    /// the mean is one of C products, dealt out to `SLICES` invocations.
+    /// The channels are dealt out to `SLICES` invocations.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        Self::averaged(inputs, |channels| SumOrder::dealt(channels, SLICES))
+    }
+}
+
+impl SpatialPool {
+    /// The bounds where the sum over so many channels has this order. A maximum is one product, so
+    /// one rounding (and the reference's own) of the largest of all; the mean is one of C products.
+    pub(crate) fn averaged(
+        inputs: &[&Value],
+        order: impl Fn(usize) -> SumOrder,
+    ) -> Result<Vec<Tolerance>> {
         let (input, gate) = (magnitude(inputs[0])?, magnitude(inputs[1])?);
         let sizes = cpu::spatial_pool(&input, &gate);
         let (largest, means) = sizes.data().split_at(sizes.data().len() / 2);
         let maxima = largest.iter().map(|m| sum_error(2, f64::from(*m)));
-        let order = SumOrder::dealt(gate.data().len(), SLICES);
+        let order = order(gate.data().len());
         let means = means.iter().map(|m| mean_error(order, f64::from(*m)));
         Ok(vec![Tolerance::Each(maxima.chain(means).collect())])
     }
@@ -86,6 +96,16 @@ fn cases() -> Vec<Case> {
             ],
         )
         .by_hand(vec![values([2, 1, 2], &[3.0, -1.0, -2.0 / 3.0, -17.0 / 3.0])]),
+        // Products (1, −8), (3, −1), (−6, −8), (1/2, 2).
+        Case::new(
+            "two pixels of four channels by hand",
+            SpatialPool,
+            vec![
+                values([4, 1, 2], &[1.0, -8.0, 6.0, -2.0, -3.0, -4.0, 2.0, 8.0]),
+                values([4], &[1.0, 0.5, 2.0, 0.25]),
+            ],
+        )
+        .by_hand(vec![values([2, 1, 2], &[3.0, 2.0, -0.375, -3.75])]),
     ];
     let shapes = [
         ("one of everything", [1, 1, 1]),
@@ -94,6 +114,9 @@ fn cases() -> Vec<Case> {
         ("9 channels, 33 pixels: a workgroup and one", [9, 3, 11]),
         ("deep and small, as conv5_x", [512, 10, 10]),
         ("as conv2_x", [64, 80, 80]),
+        ("33 quads: one slice a quad short of the other", [132, 5, 19]),
+        ("65 quads in four slices", [260, 3, 11]),
+        ("quads side by side", STACKED),
     ];
     for (i, (name, dims)) in shapes.into_iter().enumerate() {
         let seed = i as u64 * 10;

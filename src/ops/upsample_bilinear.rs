@@ -3,7 +3,7 @@
 use crate::cpu;
 use crate::error::{Error, Result};
 use crate::ops::bounds::{magnitude, sum_error};
-use crate::ops::case::{Case, one_way, random, random_scaled, values};
+use crate::ops::case::{Case, STACKED, one_way, random, random_scaled, values};
 use crate::ops::op::{Entry, Op, Tolerance, map_dims};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::TensorSpec;
@@ -147,6 +147,7 @@ fn cases() -> Vec<Case> {
         ("same size", [3, 9, 8], to(9, 8)),
         ("smaller", [3, 23, 29], to(7, 5)),
         ("to the longest edge", [1, 1, 3], to(1, MAX_EDGE)),
+        ("quads side by side", STACKED, to(67, 5)),
     ];
     for (i, (name, dims, op)) in shapes.into_iter().enumerate() {
         cases.push(Case::new(name, op, vec![random(i as u64, dims).into()]));

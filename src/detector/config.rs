@@ -1,0 +1,250 @@
+//! How to build a detector.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::error::{Error, Result};
+use crate::gpu::{AdapterChoice, GpuOptions};
+use crate::lower::Choice;
+use crate::model::{ModelConfig, Thresholds};
+
+#[cfg(doc)]
+use crate::detector::GpuDetector;
+
+/// Most detections a picture may have.
+const MAX_DETECTIONS: usize = 100;
+
+/// What runs the network.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub enum Device {
+    /// A hardware adapter if there is one that gives what the kernels need, else this machine's CPU.
+    #[default]
+    Auto,
+    /// A GPU, or a software adapter that acts as one.
+    Gpu(AdapterChoice),
+    /// This machine's CPU, in f32. Needs the feature `cpu`.
+    Cpu,
+    /// The f64 reference, to which the others are held; slow.
+    Reference,
+}
+
+impl std::str::FromStr for Device {
+    type Err = Error;
+
+    /// `auto`, `gpu`, `cpu`, `reference`, an adapter's index, or part of its name.
+    ///
+    /// # Errors
+    /// [`Error::Param`] for a blank, which is part of every name.
+    fn from_str(text: &str) -> Result<Self> {
+        Ok(match text.trim() {
+            "" => {
+                let expected =
+                    "`auto`, `gpu`, `cpu`, `reference`, an adapter's index or part of its name";
+                return Err(Error::param("detect", "device", expected, format!("`{text}`")));
+            }
+            "auto" => Self::Auto,
+            "gpu" => Self::Gpu(AdapterChoice::Auto),
+            "cpu" => Self::Cpu,
+            "reference" => Self::Reference,
+            other => Self::Gpu(match other.parse() {
+                Ok(index) => AdapterChoice::Index(index),
+                Err(_) => AdapterChoice::Name(other.into()),
+            }),
+        })
+    }
+}
+
+/// Where the weights are.
+#[derive(Clone)]
+pub enum WeightSource {
+    /// A safetensors file.
+    File(PathBuf),
+    /// A safetensors file's bytes, with a name for messages.
+    Bytes(PathBuf, Arc<[u8]>),
+}
+
+impl fmt::Debug for WeightSource {
+    /// A line, without the bytes.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File(path) => write!(f, "File({path:?})"),
+            Self::Bytes(name, bytes) => write!(f, "Bytes({name:?}, {} bytes)", bytes.len()),
+        }
+    }
+}
+
+/// How to build a [`GpuDetector`].
+///
+/// ```
+/// use smr_gpu::{Config, Device};
+///
+/// let config = Config::new("weights/smrnet.safetensors").device(Device::Cpu).score(0.5);
+/// assert_eq!(config.score, 0.5);
+/// ```
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct Config {
+    /// The weights.
+    pub weights: WeightSource,
+    /// What runs the network.
+    pub device: Device,
+    /// Side of the network's input in pixels, a multiple of 32; `None` for the weight file's.
+    pub input_size: Option<usize>,
+    /// A detection's score must be above this; in `[0, 1]`.
+    pub score: f32,
+    /// Of two detections of a class whose intersection over union is above this, the lower goes; in
+    /// `[0, 1]`.
+    pub iou: f32,
+    /// At most so many detections a picture; 1 to 100.
+    pub max_detections: usize,
+    /// Names of the wanted classes; empty for all.
+    pub classes: Vec<String>,
+    /// Longest wait for one picture on a GPU, from the call on.
+    pub timeout: Duration,
+    /// Build everything anew when the device was lost, once a call, so that the next picture is found
+    /// like any other.
+    pub rebuild_on_loss: bool,
+    /// Pictures that may be in flight on a GPU at a time; each takes memory once it is needed.
+    pub in_flight: usize,
+    /// Which kernels run on a GPU, as [`crate::tune`] measured; what it does not name is chosen by the
+    /// adapter's kind.
+    pub choice: Choice,
+    /// Let wgpu check the shaders' bounds (slower; see [`GpuOptions::checked`]).
+    pub checked: bool,
+    /// Keep every stage's tensor, for [`GpuDetector::detect_with_stages`]; takes more memory.
+    pub keep_stages: bool,
+}
+
+impl Config {
+    /// The default configuration with the weights in `file`.
+    pub fn new(file: impl AsRef<Path>) -> Self {
+        Self::with_weights(WeightSource::File(file.as_ref().into()))
+    }
+
+    /// The default configuration with a weight file's bytes; `name` stands for the file in messages.
+    pub fn from_bytes(name: impl AsRef<Path>, bytes: impl Into<Arc<[u8]>>) -> Self {
+        Self::with_weights(WeightSource::Bytes(name.as_ref().into(), bytes.into()))
+    }
+
+    fn with_weights(weights: WeightSource) -> Self {
+        Self {
+            weights,
+            device: Device::default(),
+            input_size: None,
+            score: 0.05,
+            iou: 0.5,
+            max_detections: MAX_DETECTIONS,
+            classes: Vec::new(),
+            timeout: GpuOptions::default().timeout,
+            rebuild_on_loss: true,
+            in_flight: 2,
+            choice: Choice::default(),
+            checked: false,
+            keep_stages: false,
+        }
+    }
+
+    /// Sets [`Config::device`].
+    pub fn device(mut self, device: Device) -> Self {
+        self.device = device;
+        self
+    }
+
+    /// Sets [`Config::input_size`].
+    pub fn input_size(mut self, pixels: usize) -> Self {
+        self.input_size = Some(pixels);
+        self
+    }
+
+    /// Sets [`Config::score`].
+    pub fn score(mut self, above: f32) -> Self {
+        self.score = above;
+        self
+    }
+
+    /// Sets [`Config::iou`].
+    pub fn iou(mut self, most: f32) -> Self {
+        self.iou = most;
+        self
+    }
+
+    /// Sets [`Config::max_detections`].
+    pub fn max_detections(mut self, most: usize) -> Self {
+        self.max_detections = most;
+        self
+    }
+
+    /// Sets [`Config::classes`].
+    pub fn classes(mut self, names: impl IntoIterator<Item = impl Into<String>>) -> Self {
+        self.classes = names.into_iter().map(Into::into).collect();
+        self
+    }
+
+    /// Sets [`Config::timeout`].
+    pub fn timeout(mut self, longest: Duration) -> Self {
+        self.timeout = longest;
+        self
+    }
+
+    /// Sets [`Config::rebuild_on_loss`].
+    pub fn rebuild_on_loss(mut self, rebuild: bool) -> Self {
+        self.rebuild_on_loss = rebuild;
+        self
+    }
+
+    /// Sets [`Config::in_flight`].
+    pub fn in_flight(mut self, pictures: usize) -> Self {
+        self.in_flight = pictures;
+        self
+    }
+
+    /// Sets [`Config::choice`].
+    pub fn choice(mut self, choice: Choice) -> Self {
+        self.choice = choice;
+        self
+    }
+
+    /// Sets [`Config::checked`].
+    pub fn checked(mut self, checked: bool) -> Self {
+        self.checked = checked;
+        self
+    }
+
+    /// Sets [`Config::keep_stages`].
+    pub fn keep_stages(mut self, keep: bool) -> Self {
+        self.keep_stages = keep;
+        self
+    }
+
+    pub(super) fn thresholds(&self, model: &ModelConfig) -> Result<Thresholds> {
+        for (name, value) in [("score", self.score), ("iou", self.iou)] {
+            // A NaN is in no range.
+            if !(0.0..=1.0).contains(&value) {
+                return Err(Error::param("detect", name, "a number from 0 to 1", value));
+            }
+        }
+        if !(1..=MAX_DETECTIONS).contains(&self.max_detections) {
+            let got = self.max_detections;
+            return Err(Error::param("detect", "max_detections", "1 to 100", got));
+        }
+        let mut class_mask = 0;
+        for name in &self.classes {
+            let index = model.classes.iter().position(|c| c.eq_ignore_ascii_case(name));
+            let index = index.ok_or_else(|| {
+                Error::param("detect", "classes", model.classes.join(", "), format!("`{name}`"))
+            })?;
+            class_mask |= 2u32 << index;
+        }
+        if self.classes.is_empty() {
+            class_mask = u32::MAX;
+        }
+        Ok(Thresholds {
+            score: self.score,
+            iou: self.iou,
+            max_detections: self.max_detections,
+            class_mask,
+        })
+    }
+}

@@ -1,0 +1,96 @@
+//! What a detector finds.
+
+use std::time::Duration;
+
+use crate::comparison::{ChoiceComparison, Shift, StageComparison};
+use crate::graph::StageTime;
+
+#[cfg(doc)]
+use crate::model::ModelConfig;
+
+/// One snap in a picture.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct Detection {
+    /// Class name.
+    pub class: String,
+    /// The class's place in [`ModelConfig::classes`].
+    pub class_index: usize,
+    /// Confidence from 0 to 1.
+    pub score: f32,
+    /// Corners (x1, y1, x2, y2) in pixels of the picture; pixel i covers `[i, i + 1]`. Serialised as
+    /// `box`.
+    #[cfg_attr(feature = "serde", serde(rename = "box"))]
+    pub bbox: [f32; 4],
+    /// Centre of the box on the gel in millimetres, from the middle of the picture or of its crop: x
+    /// right, y down.
+    pub center_mm: [f32; 2],
+}
+
+/// What a picture holds, and what finding it took.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct Detections {
+    /// The snaps, best first.
+    pub detections: Vec<Detection>,
+    /// Width of the picture in pixels.
+    pub width: u32,
+    /// Height of the picture in pixels.
+    pub height: u32,
+    /// How many proposals the last stage looked at.
+    pub proposals: u32,
+    /// Time by stage on the device; empty where it has no timestamps.
+    pub stages: Vec<StageTime>,
+    /// Time from picture to detections; serialised as `wall_ms`.
+    #[cfg_attr(feature = "serde", serde(rename = "wall_ms", with = "crate::milliseconds"))]
+    pub wall: Duration,
+}
+
+/// What one picture gives on a device and in the f64 reference.
+#[derive(Clone, Debug)]
+pub struct Comparison {
+    /// The network's stages, in order.
+    pub stages: Vec<StageComparison>,
+    /// The choice of the proposals.
+    pub proposals: ChoiceComparison,
+    /// The choice of the detections.
+    pub detections: ChoiceComparison,
+    /// How far apart the detections are that both found.
+    pub shift: Shift,
+    /// [`Shift::pixels`] in millimetres on the gel.
+    pub shift_mm: f64,
+    /// What the device found.
+    pub found: Detections,
+    /// What the reference found.
+    pub expected: Detections,
+}
+
+impl Comparison {
+    /// What is wrong, a line each; empty if the device does as the reference.
+    pub fn failures(&self) -> impl Iterator<Item = &str> {
+        let tensors = self.stages.iter().flat_map(|s| &s.tensors);
+        let tensors = tensors.filter_map(|t| t.failure.as_ref());
+        let choices = self.proposals.failures.iter().chain(&self.detections.failures);
+        tensors.chain(choices).map(String::as_str)
+    }
+
+    /// Differences that rounding excuses, a line each.
+    pub fn excused(&self) -> impl Iterator<Item = &str> {
+        self.proposals.excused.iter().chain(&self.detections.excused).map(String::as_str)
+    }
+
+    /// The largest error of an element on its operation's own inputs, as a share of its bound.
+    pub fn share(&self) -> f64 {
+        self.stages.iter().map(StageComparison::share).fold(0.0, f64::max)
+    }
+
+    /// The largest bias of a tensor as a share of its bound.
+    pub fn bias(&self) -> f64 {
+        self.stages.iter().filter_map(StageComparison::bias).fold(0.0, f64::max)
+    }
+
+    /// The largest drift of a stage.
+    pub fn drift(&self) -> f64 {
+        self.stages.iter().filter_map(StageComparison::drift).fold(0.0, f64::max)
+    }
+}

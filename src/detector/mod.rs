@@ -1,0 +1,320 @@
+//! [`GpuDetector`]: a picture in, snaps out.
+//!
+//! | file | what it holds |
+//! |---|---|
+//! | `config` | how to build a detector |
+//! | `detection` | what it finds |
+//! | `input` | from a frame to what the network takes, and back |
+//! | `many` | many pictures, in order |
+//! | `engine`, `pool` | what runs the network; as many pictures in flight as there are slots |
+
+mod config;
+mod detection;
+mod engine;
+mod input;
+mod many;
+mod pool;
+
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::Instant;
+
+use crate::comparison::{self, StageComparison, Values};
+use crate::error::{Error, Result};
+use crate::frame::Frame;
+use crate::gpu::{Deadline, Gpu};
+use crate::graph::{StageTime, TensorId};
+use crate::model::ModelConfig;
+use crate::tensor::Value;
+
+pub use config::{Config, Device, WeightSource};
+pub use detection::{Comparison, Detection, Detections};
+use engine::Engine;
+use input::Input;
+
+/// Tensors of every stage, by the PyTorch reference's names.
+pub type Stages = Vec<(String, Value)>;
+
+/// Finds snap joints in pictures. Build it once; it holds the device, the compiled shaders, the
+/// weights and all buffers. Pictures given from several threads are in flight together, as many as
+/// [`Config::in_flight`] says.
+pub struct GpuDetector {
+    config: Config,
+    model: ModelConfig,
+    adapter: String,
+    /// Replaced when the device was lost.
+    engine: RwLock<Arc<Engine>>,
+    /// Held while the engine is rebuilt.
+    rebuilding: Mutex<()>,
+    /// Whether the device is the caller's, who alone can replace it.
+    foreign: bool,
+}
+
+impl fmt::Debug for GpuDetector {
+    /// A line: what runs which network.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ModelConfig { input_size, classes, .. } = &self.model;
+        let (classes, adapter) = (classes.join(", "), self.adapter());
+        write!(f, "GpuDetector({input_size} × {input_size}, classes {classes}, on {adapter})")
+    }
+}
+
+impl GpuDetector {
+    /// Loads the weights, opens the device, compiles the shaders and allocates the buffers.
+    ///
+    /// # Errors
+    /// [`Error::Weights`], [`Error::NoAdapter`], [`Error::Device`], [`Error::Shader`], or
+    /// [`Error::Param`] for a threshold out of its range or an unknown class.
+    pub fn new(config: Config) -> Result<Self> {
+        pollster::block_on(Self::new_async(config))
+    }
+
+    /// [`GpuDetector::new`] for callers with an executor of their own.
+    ///
+    /// # Errors
+    /// As [`GpuDetector::new`].
+    pub async fn new_async(config: Config) -> Result<Self> {
+        Self::build(config, None).await
+    }
+
+    /// [`GpuDetector::new_async`] on a device that is open already; `device` and `checked` of the
+    /// configuration do not count, and a lost device is not replaced.
+    ///
+    /// # Errors
+    /// As [`GpuDetector::new`].
+    pub async fn on_device(gpu: Arc<Gpu>, config: Config) -> Result<Self> {
+        Self::build(config, Some(gpu)).await
+    }
+
+    async fn build(config: Config, gpu: Option<Arc<Gpu>>) -> Result<Self> {
+        let foreign = gpu.is_some();
+        let engine = Engine::new(&config, gpu).await?;
+        let (model, adapter) = (engine.network.config.clone(), engine.adapter.clone());
+        let (engine, rebuilding) = (RwLock::new(Arc::new(engine)), Mutex::new(()));
+        Ok(Self { config, model, adapter, engine, rebuilding, foreign })
+    }
+
+    /// The network's configuration.
+    pub fn model(&self) -> &ModelConfig {
+        &self.model
+    }
+
+    /// Name of what runs the network.
+    pub fn adapter(&self) -> &str {
+        &self.adapter
+    }
+
+    fn engine(&self) -> Arc<Engine> {
+        self.engine.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Finds the snaps in a picture of the crate [`image`], of any size and kind of pixel. The network
+    /// sees the largest centred square.
+    ///
+    /// # Errors
+    /// As [`GpuDetector::detect_frame`].
+    #[cfg(feature = "image")]
+    pub fn detect(&self, picture: &image::DynamicImage) -> Result<Detections> {
+        self.detect_frame(&Frame::from(picture))
+    }
+
+    /// Finds the snaps in a picture in memory, of any size. The network sees the largest centred
+    /// square of it or of its crop.
+    ///
+    /// # Errors
+    /// [`Error::Picture`] for an empty picture, [`Error::Param`] for a frame whose buffer does not
+    /// hold what it says, [`Error::Capacity`] for one past the device's largest binding,
+    /// [`Error::DeviceLost`], [`Error::Timeout`] or [`Error::Driver`] from the device,
+    /// [`Error::NotFinite`] if the network overflowed.
+    pub fn detect_frame(&self, frame: &Frame) -> Result<Detections> {
+        pollster::block_on(self.detect_async(frame))
+    }
+
+    /// [`GpuDetector::detect_frame`] for callers with an executor of their own. On a GPU nothing
+    /// blocks; the CPU computes before the future is ready.
+    ///
+    /// # Errors
+    /// As [`GpuDetector::detect_frame`].
+    pub async fn detect_async(&self, frame: &Frame<'_>) -> Result<Detections> {
+        let deadline = Deadline::after(self.config.timeout);
+        let input = Input::new(frame)?;
+        Ok(self.look(&input, deadline).await?.1)
+    }
+
+    /// Finds the snaps in each of `frames`, in their order, with several in flight: the next frame is
+    /// taken when a place is free, so memory is bounded whatever there are.
+    ///
+    /// The iterator ends with the frames; an error is that of its frame alone.
+    pub fn detect_many<'a>(
+        &'a self,
+        frames: impl IntoIterator<Item = Frame<'a>, IntoIter: Send> + 'a,
+    ) -> impl Iterator<Item = Result<Detections>> + 'a {
+        many::Many::new(self, frames.into_iter())
+    }
+
+    /// [`GpuDetector::detect_frame`], with the tensor of every stage, cut to the rows that a count
+    /// made valid. Needs `Config::keep_stages`.
+    ///
+    /// # Errors
+    /// As [`GpuDetector::detect_frame`]; [`Error::Param`] without `keep_stages`.
+    pub fn detect_with_stages(&self, frame: &Frame) -> Result<(Detections, Stages)> {
+        self.check_keeps_stages()?;
+        let deadline = Deadline::after(self.config.timeout);
+        let input = Input::new(frame)?;
+        let (mut values, detections) = pollster::block_on(self.look(&input, deadline))?;
+        let engine = self.engine();
+        let graph = &engine.network.graph;
+        let named = |id: TensorId| Some((graph.name(id).to_owned(), values.remove(&id)?));
+        Ok((detections, graph.computed().into_iter().filter_map(named).collect()))
+    }
+
+    /// Looks at a picture on the device and with the f64 reference, and compares every operation and
+    /// what comes out: see [`crate::comparison`]. Needs `Config::keep_stages`.
+    ///
+    /// # Errors
+    /// As [`GpuDetector::detect_frame`]; [`Error::Param`] without `keep_stages` or a GPU.
+    pub fn compare(&self, frame: &Frame) -> Result<Comparison> {
+        let engine = self.engine();
+        if !engine.is_gpu() {
+            return Err(Error::param("compare", "device", "a GPU", "the CPU"));
+        }
+        self.check_keeps_stages()?;
+        let input = Input::new(frame)?;
+        let network = &engine.network;
+        let deadline = Deadline::after(self.config.timeout);
+        let (got, times) = pollster::block_on(engine.run(&input.inputs(network), deadline))?;
+        let found = input.detections(network, &got, times)?;
+        let input = Input { start: Instant::now(), ..input };
+        let inputs = input.inputs(network);
+        let (want, times) = network.graph.reference(&inputs, &network.graph.computed())?;
+        let expected = input.detections(network, &want, times)?;
+        let scale = f64::from(input.scale(network));
+        let outcome = comparison::compare(network, &inputs, &got, &want, scale, engine.kernels())?;
+        let time = |stage: &str| found.stages.iter().find(|t| t.stage == stage).map(|t| t.time);
+        let stages = expected.stages.iter().zip(outcome.stages);
+        let stages = stages.map(|(reference, tensors)| StageComparison {
+            stage: reference.stage.clone(),
+            time: time(&reference.stage),
+            reference_time: reference.time,
+            tensors,
+        });
+        let mm_per_pixel = f64::from(network.config.mm_per_pixel_of(input.side));
+        Ok(Comparison {
+            stages: stages.collect(),
+            proposals: outcome.proposals,
+            detections: outcome.detections,
+            shift: outcome.shift,
+            shift_mm: outcome.shift.pixels * mm_per_pixel,
+            found,
+            expected,
+        })
+    }
+
+    fn check_keeps_stages(&self) -> Result<()> {
+        match self.config.keep_stages {
+            true => Ok(()),
+            false => Err(Error::param("detect", "keep_stages", true, false)),
+        }
+    }
+
+    /// Looks at a picture. The values are the outputs, or with `keep_stages` those of every stage, cut
+    /// to their valid rows. On a lost device it looks once more, on a new one.
+    async fn look(&self, input: &Input, deadline: Deadline) -> Result<(Values, Detections)> {
+        let engine = self.engine();
+        match self.look_with(&engine, input, deadline).await {
+            Err(Error::DeviceLost(_)) if self.config.rebuild_on_loss && !self.foreign => {
+                let engine = self.rebuild(&engine).await?;
+                self.look_with(&engine, input, deadline).await
+            }
+            other => other,
+        }
+    }
+
+    async fn look_with(
+        &self,
+        engine: &Engine,
+        input: &Input,
+        deadline: Deadline,
+    ) -> Result<(Values, Detections)> {
+        let network = &engine.network;
+        let inputs = input.inputs(network);
+        let (mut values, times): (Values, Vec<StageTime>) = engine.run(&inputs, deadline).await?;
+        if self.config.keep_stages {
+            network.graph.truncate(&inputs, &mut values);
+        }
+        let detections = input.detections(network, &values, times)?;
+        Ok((values, detections))
+    }
+
+    /// Puts an engine on a new device in place of `lost`, unless another thread has.
+    async fn rebuild(&self, lost: &Arc<Engine>) -> Result<Arc<Engine>> {
+        // Not held across a wait of this future: building blocks this thread anyway.
+        let _one = self.rebuilding.lock().unwrap_or_else(PoisonError::into_inner);
+        let current = self.engine();
+        if !Arc::ptr_eq(&current, lost) {
+            return Ok(current);
+        }
+        let engine = Arc::new(pollster::block_on(Engine::new(&self.config, None))?);
+        *self.engine.write().unwrap_or_else(PoisonError::into_inner) = engine.clone();
+        Ok(engine)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    #[cfg(feature = "serde")]
+    use std::time::Duration;
+
+    /// The names that `smr-gpu detect --json` prints, and all of it back.
+    #[cfg(feature = "serde")]
+    #[test]
+    fn detections_are_serialised() {
+        let stages = vec![StageTime { stage: "input".into(), time: Duration::from_micros(1500) }];
+        let detection = Detection {
+            class: "B".into(),
+            class_index: 1,
+            score: 0.75,
+            bbox: [1.0, 2.5, 3.0, 4.0],
+            center_mm: [-0.5, 0.25],
+        };
+        let found = Detections {
+            detections: vec![detection],
+            width: 640,
+            height: 480,
+            proposals: 7,
+            stages,
+            wall: Duration::from_millis(20),
+        };
+        let json = serde_json::to_value(&found).expect("serialised");
+        let want = serde_json::json!({
+            "detections": [{
+                "class": "B", "class_index": 1, "score": 0.75,
+                "box": [1.0, 2.5, 3.0, 4.0], "center_mm": [-0.5, 0.25]
+            }],
+            "width": 640, "height": 480, "proposals": 7,
+            "stages": [{"stage": "input", "ms": 1.5}],
+            "wall_ms": 20.0
+        });
+        assert_eq!(json, want);
+        assert_eq!(serde_json::from_value::<Detections>(want).expect("read"), found);
+        let negative = r#"{"stage": "input", "ms": -1.0}"#;
+        assert!(serde_json::from_str::<StageTime>(negative).is_err());
+    }
+
+    #[test]
+    fn a_line_for_people() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors");
+        let bytes = std::fs::read(file).expect("the weights");
+        let length = bytes.len();
+        let config = Config::from_bytes("memory", bytes).device(Device::Reference);
+        let line = format!("{config:?}");
+        assert!(line.contains(&format!(r#"Bytes("memory", {length} bytes)"#)), "{line}");
+        let detector = GpuDetector::new(config).expect("a detector");
+        let want = "GpuDetector(320 × 320, classes A, B, on CPU reference (f64))";
+        assert_eq!(format!("{detector:?}"), want);
+        let network = format!("{:?}", detector.engine().network);
+        let start = "Network(320 × 320, classes A, B, Graph(";
+        assert!(network.starts_with(start) && network.len() < 100, "{network}");
+    }
+}

@@ -1,0 +1,128 @@
+//! A [`Landing`]: what a run copied to a staging buffer, on its way to the host.
+
+use std::future::poll_fn;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Poll, Waker};
+use std::time::{Duration, Instant};
+
+use crate::error::{Error, Result};
+use crate::gpu::context::Gpu;
+
+/// Until when a caller waits, and what it asked for.
+#[derive(Clone, Copy, Debug)]
+pub struct Deadline {
+    /// `None` for a time past the end of the clock.
+    at: Option<Instant>,
+    limit: Duration,
+}
+
+impl Deadline {
+    /// So long from now.
+    pub fn after(limit: Duration) -> Self {
+        Self { at: Instant::now().checked_add(limit), limit }
+    }
+
+    /// Whether the time is up.
+    pub fn is_over(&self) -> bool {
+        self.at.is_some_and(|at| Instant::now() >= at)
+    }
+
+    /// The error of a wait for `stage` that took too long.
+    pub fn error(&self, stage: &str) -> Error {
+        Error::Timeout { stage: stage.into(), seconds: self.limit.as_secs_f64() }
+    }
+
+    /// Wakes a future when the time is up.
+    pub(crate) fn wake(&self, gpu: &Gpu, waker: &Waker) {
+        if let Some(at) = self.at {
+            gpu.clock.wake_at(at, waker.clone());
+        }
+    }
+}
+
+/// A staging buffer that the host asked for.
+#[derive(Debug)]
+pub(super) struct Landing {
+    state: Arc<Mutex<State>>,
+    pub start: Instant,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    /// What the driver said, once it did.
+    result: Option<Result<(), String>>,
+    waker: Option<Waker>,
+}
+
+fn lock(state: &Mutex<State>) -> MutexGuard<'_, State> {
+    state.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Landing {
+    /// Asks for the first `bytes` of `staging`, to which `submission` copies.
+    pub fn new(
+        gpu: &Gpu,
+        staging: &wgpu::Buffer,
+        bytes: u64,
+        submission: wgpu::SubmissionIndex,
+        start: Instant,
+    ) -> Self {
+        let state = Arc::new(Mutex::new(State::default()));
+        let told = state.clone();
+        staging.slice(..bytes).map_async(wgpu::MapMode::Read, move |result| {
+            let mut state = lock(&told);
+            state.result = Some(result.map_err(|e| e.to_string()));
+            if let Some(waker) = state.waker.take() {
+                waker.wake();
+            }
+        });
+        gpu.poller.follow(submission);
+        Self { state, start }
+    }
+
+    /// Wakes `waker` when it is.
+    pub fn wake_when_over(&self, waker: &Waker) {
+        let mut state = lock(&self.state);
+        match state.result {
+            Some(_) => waker.wake_by_ref(),
+            None => state.waker = Some(waker.clone()),
+        }
+    }
+
+    /// Whether the device is done with the buffer, for good or ill.
+    pub fn is_over(&self) -> bool {
+        lock(&self.state).result.is_some()
+    }
+
+    /// Waits until the host can read the buffer.
+    ///
+    /// # Errors
+    /// [`Error::DeviceLost`], [`Error::Timeout`] past the deadline, or [`Error::Driver`] if the map is
+    /// refused.
+    pub async fn wait(&self, gpu: &Gpu, deadline: Deadline, stage: &str) -> Result<()> {
+        let told = poll_fn(|context| {
+            let mut state = lock(&self.state);
+            if let Some(result) = &state.result {
+                return Poll::Ready(Some(result.clone()));
+            }
+            if deadline.is_over() {
+                return Poll::Ready(None);
+            }
+            state.waker = Some(context.waker().clone());
+            drop(state);
+            deadline.wake(gpu, context.waker());
+            Poll::Pending
+        })
+        .await;
+        if let Some(Err(_)) = &told {
+            // A lost device refuses the map, and says so in the next poll.
+            let _ = gpu.device.poll(wgpu::PollType::Poll);
+        }
+        gpu.check_lost()?;
+        match told {
+            Some(Ok(())) => Ok(()),
+            Some(Err(message)) => Err(Error::Driver { stage: stage.into(), message }),
+            None => Err(deadline.error(stage)),
+        }
+    }
+}

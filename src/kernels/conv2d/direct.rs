@@ -1,0 +1,357 @@
+//! On maps of four channels a texel, in registers.
+
+use super::{Sizes, join, padded_bias, weights_known};
+use crate::error::{Error, Result};
+use crate::graph::TensorId;
+use crate::kernels::products::Lanes;
+use crate::kernels::{
+    Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Quads, Recording, Work,
+};
+use crate::ops::bounds::{Joined, SumOrder};
+use crate::ops::{Conv2d, Op, Tolerance};
+use crate::shader::{Shader, Variant, shader_params};
+use crate::shape::TensorSpec;
+use crate::tensor::{Tensor, Value};
+
+shader_params! {
+    struct Params {
+        input: Quads,
+        output: Quads,
+        kernel_height: u32,
+        kernel_width: u32,
+        stride: u32,
+        step: u32,
+        padding: u32,
+        dilation: u32,
+        strips: u32,
+        blocks: u32,
+        splits: u32,
+        split_blocks: u32,
+        weight_width: u32,
+        has_residual: u32,
+        relu: u32,
+        pad0: u32,
+        pad1: u32,
+        pad2: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "conv2d/direct",
+    source: include_str!("../../../wgsl/conv2d/direct.wgsl"),
+    params: PARAMS,
+};
+
+/// Workgroups that keep an adapter with many cores busy.
+const ENOUGH: u32 = 256;
+/// Most parts of a sum.
+const MOST_SPLITS: u32 = 8;
+
+/// Kernels that share inputs between the taps of a row: rows, columns, stride, dilation.
+const SHARED: [[usize; 4]; 4] = [[3, 3, 1, 1], [3, 3, 2, 1], [3, 3, 1, 2], [7, 7, 2, 1]];
+
+/// How the shader computes a convolution.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Form {
+    /// Rows of the kernel; 0 where they may be any number.
+    rows: usize,
+    /// Taps of a row that are added together.
+    taps: usize,
+    /// Columns between the inputs of neighbouring outputs, as they are loaded.
+    spread: usize,
+    /// Columns between taps.
+    dilation: usize,
+    /// Quads of input channels that are summed for themselves.
+    quads: usize,
+    /// Whether the fourth channel of a quad is never used.
+    three: bool,
+}
+
+impl Form {
+    /// A pixel at a time, for kernels of any size.
+    const ANY: Self = Self { rows: 0, taps: 1, spread: 1, dilation: 1, quads: 1, three: false };
+    /// The same for kernels of one pixel.
+    const ONE: Self = Self { rows: 1, quads: 8, ..Self::ANY };
+
+    fn shared([rows, taps, spread, dilation]: [usize; 4]) -> Self {
+        let (quads, three) = if rows == 3 { (4, false) } else { (1, true) };
+        Self { rows, taps, spread, dilation, quads, three }
+    }
+
+    fn all() -> impl Iterator<Item = Self> {
+        SHARED.into_iter().map(Self::shared).chain([Self::ONE, Self::ANY])
+    }
+
+    fn of(op: &Conv2d, in_c: usize, kh: usize, kw: usize) -> Self {
+        match [kh, kw, op.stride, op.dilation] {
+            [1, 1, ..] => Self::ONE,
+            own if SHARED.contains(&own) && (kh == 3 || in_c <= 3) => Self::shared(own),
+            _ => Self::ANY,
+        }
+    }
+
+    fn variant(&self, tile: &Tile) -> Variant {
+        let named = [
+            ("WORKGROUP", tile.workgroup as usize),
+            ("KERNEL", self.rows),
+            ("TAPS", self.taps),
+            ("SPREAD", self.spread),
+            ("DILATION", self.dilation),
+            ("QUADS", self.quads),
+        ];
+        let constants = named.map(|(name, value)| (name, value as u32));
+        tile.lanes
+            .variant(Variant::of(&constants))
+            .with("TAPS_3", self.taps == 3)
+            .with("TAPS_7", self.taps == 7)
+            .with("ANY", self.rows == 0)
+            .with("THREE", self.three)
+    }
+
+    fn blocks(&self, in_c: usize) -> usize {
+        in_c.div_ceil(4).div_ceil(self.quads)
+    }
+
+    /// A block's products one after the other, the blocks, then bias and residual. Parts of a split sum
+    /// have fewer blocks, at least one less for each part more.
+    fn order(&self, in_c: usize, kh: usize, kw: usize) -> SumOrder {
+        let (terms, parts) = (4 * self.quads * kh * kw, self.blocks(in_c));
+        SumOrder { terms, parts, joined: Joined::InOrder, more: 2 }
+    }
+}
+
+/// What one invocation computes, and how many there are in a workgroup.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Tile {
+    lanes: Lanes,
+    channels: usize,
+    pixels: usize,
+    workgroup: u32,
+}
+
+impl Tile {
+    fn of(caps: &Caps) -> Self {
+        let lanes = Lanes::of(caps);
+        match lanes.0 {
+            Some(workgroup) => Self { lanes, channels: 16, pixels: 4, workgroup },
+            None => Self { lanes, channels: 4, pixels: 8, workgroup: 32 },
+        }
+    }
+}
+
+/// A convolution cut into workgroups.
+#[derive(Clone, Copy, Debug)]
+struct Plan {
+    sizes: Sizes,
+    form: Form,
+    tile: Tile,
+    /// Groups of adjacent pixels in a row of outputs.
+    strips: u32,
+    /// Workgroups for the strips of a picture, and for the channels.
+    grid: [u32; 2],
+    /// Columns and rows of the packed weights.
+    texels: [usize; 2],
+    splits: u32,
+    split_blocks: u32,
+}
+
+impl Plan {
+    /// `None` for weights that fit no texture.
+    fn of(op: &Conv2d, work: &Work, split: bool) -> Option<Self> {
+        let sizes = Sizes::of(op, work);
+        let Sizes { in_c, out_c, kh, kw, out_h, out_w } = sizes;
+        let (form, tile) = (Form::of(op, in_c, kh, kw), Tile::of(work.caps));
+        let strips = u32::try_from(out_w.div_ceil(tile.pixels)).ok()?;
+        let invocations = u64::from(strips) * out_h as u64;
+        let across = u32::try_from(invocations.div_ceil(u64::from(tile.workgroup))).ok()?;
+        let grid = [across, u32::try_from(out_c.div_ceil(tile.channels)).ok()?];
+
+        let side = work.caps.texture_side as usize;
+        let taps = form.taps * tile.channels;
+        let all = packed_texels(&sizes, &form, &tile);
+        let width = (side / taps * taps).min(all);
+        if width == 0 || all.div_ceil(width) > side {
+            return None;
+        }
+
+        let blocks = u32::try_from(form.blocks(in_c)).ok()?;
+        // The order of a picture's sums must not depend on the rest of its batch.
+        let busy = u64::from(grid[0]) * u64::from(grid[1]);
+        let splits = match split {
+            true => u64::from(ENOUGH).div_ceil(busy).clamp(2, u64::from(MOST_SPLITS)) as u32,
+            false => 1,
+        };
+        let split_blocks = blocks.div_ceil(splits);
+        let splits = blocks.div_ceil(split_blocks);
+        let texels = [width, all.div_ceil(width)];
+        Some(Self { sizes, form, tile, strips, grid, texels, splits, split_blocks })
+    }
+}
+
+/// Texels of the packed weights.
+fn packed_texels(sizes: &Sizes, form: &Form, tile: &Tile) -> usize {
+    let quads = form.blocks(sizes.in_c) * form.quads;
+    sizes.out_c.next_multiple_of(tile.channels) * quads * sizes.kh * sizes.kw
+}
+
+/// `[O, I, kh, kw]` to `[tile, quad, kh, kw, output of the tile, 4]`, in rows of texels, with zeros up
+/// to whole tiles, blocks and rows.
+fn pack_weight(weight: &Tensor, form: &Form, tile: &Tile, [width, height]: [usize; 2]) -> Tensor {
+    let [out_c, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
+    let quads = form.blocks(in_c) * form.quads;
+    let mut packed = Tensor::zeros([height, width, 4]);
+    let to = packed.data_mut();
+    for (o, kernel) in weight.data().chunks_exact(in_c * kh * kw).enumerate().take(out_c) {
+        for (i, taps) in kernel.chunks_exact(kh * kw).enumerate() {
+            let first = (o / tile.channels * quads + i / 4) * kh * kw;
+            for (tap, value) in taps.iter().enumerate() {
+                let texel = (first + tap) * tile.channels + o % tile.channels;
+                to[texel * 4 + i % 4] = *value;
+            }
+        }
+    }
+    packed
+}
+
+/// The definition, on maps of four channels a texel.
+#[derive(Debug)]
+pub(in crate::kernels) struct Direct {
+    /// Whether the sums are cut into parts, for adapters that a small map leaves idle.
+    pub split: bool,
+}
+
+impl Direct {
+    fn plan(&self, work: &Work) -> Option<Plan> {
+        let op: &Conv2d = work.op().ok()?;
+        let plan = Plan::of(op, work, self.split)?;
+        let pictures = u64::from(work.batch) * u64::from(plan.splits);
+        let largest = plan.grid.into_iter().map(u64::from).chain([pictures]).max()?;
+        let fits = weights_known(op, work.known)
+            && work.has_quads(&work.inputs[0])
+            && work.has_quads(&work.outputs[0])
+            && largest <= u64::from(MAX_WORKGROUPS)
+            && (plan.splits > 1) == self.split;
+        fits.then_some(plan)
+    }
+}
+
+impl Kernel for Direct {
+    fn id(&self) -> &'static str {
+        if self.split { "conv2d/split" } else { "conv2d/direct" }
+    }
+
+    fn shaders(&self, caps: &Caps) -> Vec<(&'static Shader, Variant)> {
+        let tile = Tile::of(caps);
+        let direct = Form::all().map(|form| (&SHADER, form.variant(&tile)));
+        let join = self.split.then(|| (&join::SHADER, Variant::default()));
+        direct.chain(join).collect()
+    }
+
+    fn fits(&self, work: &Work) -> bool {
+        self.plan(work).is_some()
+    }
+
+    fn preferred(&self, work: &Work) -> bool {
+        let idle = |plan: Plan| plan.grid[0] * plan.grid[1] < ENOUGH;
+        !self.split || Lanes::of(work.caps).of_many_cores() && self.plan(work).is_some_and(idle)
+    }
+
+    fn reads(&self, work: &Work, index: usize) -> Layout {
+        match (index, work.inputs[index].shape.rank()) {
+            (0, _) => Layout::Texture,
+            // The residual; weights are repacked.
+            (_, 3) => Layout::Quads,
+            _ => Layout::Planar,
+        }
+    }
+
+    fn writes(&self, _work: &Work) -> Layout {
+        Layout::Quads
+    }
+
+    fn batched(&self) -> bool {
+        true
+    }
+
+    fn record(
+        &self,
+        work: &Work,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let op: &Conv2d = work.op()?;
+        let none = || Error::tensor(op.name(), "weight", "one that fits a texture", "a larger one");
+        let plan = self.plan(work).ok_or_else(none)?;
+        let Plan { sizes, form, tile, texels: [width, height], .. } = plan;
+        let (&input, &weight, bias, residual) = op.split(inputs);
+        let name = recording.info(weight).name.clone();
+        let spec = TensorSpec::f32([height, width, 4]);
+        let weight = recording.weights(op.name(), weight)?;
+        let weight = weight.packed(spec, move |w| pack_weight(w, &form, &tile, [width, height]));
+        let weight = recording.constant_texture(format!("{name} (packed)"), weight);
+        let bias = padded_bias(op, recording, bias, sizes.out_c, tile.channels)?;
+        let bias = recording.constant(format!("{name} (bias)"), bias);
+        let (from, to) = (recording.quads(input)?, recording.quads(outputs[0])?);
+
+        let params = Params {
+            input: from,
+            output: to,
+            kernel_height: sizes.kh as u32,
+            kernel_width: sizes.kw as u32,
+            stride: op.stride as u32,
+            step: if form.taps > 1 { 1 } else { op.stride as u32 },
+            padding: op.padding as u32,
+            dilation: op.dilation as u32,
+            strips: plan.strips,
+            blocks: form.blocks(sizes.in_c) as u32,
+            splits: plan.splits,
+            split_blocks: plan.split_blocks,
+            weight_width: width as u32,
+            has_residual: u32::from(op.residual && !self.split),
+            relu: u32::from(op.relu && !self.split),
+            pad0: 0,
+            pad1: 0,
+            pad2: 0,
+        };
+        // Any readable buffer serves where there is no residual: it is not read.
+        let residual = residual.copied().unwrap_or(bias);
+        let [across, tiles] = plan.grid;
+        let grid = Grid::Workgroups([across, tiles, recording.batch() * plan.splits]);
+        let dispatch = |bias: TensorId, output: TensorId| {
+            let bindings = [
+                ("input", input),
+                ("weight", weight),
+                ("bias", bias),
+                ("residual", residual),
+                ("output", output),
+            ];
+            Dispatch::new(&SHADER, "main", &params, &bindings, grid).variant(form.variant(&tile))
+        };
+        if !self.split {
+            recording.dispatch(dispatch(bias, outputs[0]));
+            return Ok(());
+        }
+        let zeros = Tensor::<f32>::zeros([sizes.out_c.next_multiple_of(tile.channels)]);
+        let zeros = recording.constant(format!("{name} (no bias)"), zeros);
+        let floats = (to.bytes() / 4) as usize * plan.splits as usize;
+        let parts = recording.scratch("parts", TensorSpec::f32([floats]));
+        recording.dispatch(dispatch(zeros, parts));
+        join::record(op, recording, plan.splits, [parts, bias, residual, outputs[0]], to);
+        Ok(())
+    }
+
+    fn tolerance(
+        &self,
+        op: &dyn Op,
+        inputs: &[&Value],
+        _reference: &[Value],
+    ) -> Result<Option<Vec<Tolerance>>> {
+        let any: &dyn std::any::Any = op;
+        let Some(op) = any.downcast_ref::<Conv2d>() else { return Ok(None) };
+        let weight = op.split(inputs).1.spec();
+        let [_, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.shape.0[i]);
+        let order = Form::of(op, in_c, kh, kw).order(in_c, kh, kw);
+        op.summed(inputs, order).map(Some)
+    }
+}

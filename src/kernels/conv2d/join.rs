@@ -1,0 +1,46 @@
+//! What adds up the parts of a split sum.
+
+use crate::graph::TensorId;
+use crate::kernels::{Dispatch, Grid, Quads, Recording};
+use crate::ops::Conv2d;
+use crate::shader::{Shader, shader_params};
+
+shader_params! {
+    struct Params {
+        output: Quads,
+        splits: u32,
+        has_residual: u32,
+        relu: u32,
+        pictures: u32,
+    }
+}
+
+pub(super) static SHADER: Shader = Shader {
+    stem: "conv2d/join",
+    source: include_str!("../../../wgsl/conv2d/join.wgsl"),
+    params: PARAMS,
+};
+
+/// Invocations of a workgroup.
+const LANES: u32 = 64;
+
+/// Appends what adds `splits` parts of each picture, bias, residual and ReLU.
+pub(super) fn record(
+    op: &Conv2d,
+    recording: &mut Recording,
+    splits: u32,
+    [parts, bias, residual, output]: [TensorId; 4],
+    map: Quads,
+) {
+    let params = Params {
+        output: map,
+        splits,
+        has_residual: u32::from(op.residual),
+        relu: u32::from(op.relu),
+        pictures: recording.batch(),
+    };
+    let bindings = [("parts", parts), ("bias", bias), ("residual", residual), ("output", output)];
+    let texels = map.width as usize * map.height as usize * map.quads as usize;
+    let grid = Grid::linear(texels * recording.batch() as usize, LANES);
+    recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
+}

@@ -1,0 +1,56 @@
+//! The definition, on planar maps.
+
+use crate::error::Result;
+use crate::graph::TensorId;
+use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::ops::WeightedSum;
+use crate::ops::weighted_sum::MAPS;
+use crate::shader::{Shader, Variant, shader_params};
+
+shader_params! {
+    struct Params {
+        elements: u32,
+        maps: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "weighted_sum/planar",
+    source: include_str!("../../../wgsl/weighted_sum/planar.wgsl"),
+    params: PARAMS,
+};
+
+/// The definition, on planar maps.
+#[derive(Debug)]
+pub(in crate::kernels) struct Planar;
+
+impl Kernel for Planar {
+    fn id(&self) -> &'static str {
+        "weighted_sum/planar"
+    }
+
+    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
+        vec![(&SHADER, Variant::default())]
+    }
+
+    fn record(
+        &self,
+        work: &Work,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let op: &WeightedSum = work.op()?;
+        let elements = recording.info(outputs[0]).spec.shape.elements();
+        let params = Params { elements: elements as u32, maps: op.maps as u32 };
+        let mut bindings = vec![("weights", inputs[0])];
+        for (k, name) in MAPS.into_iter().enumerate() {
+            // Any readable buffer serves behind the last map: it is not read.
+            bindings.push((name, *inputs.get(k + 1).unwrap_or(&inputs[1])));
+        }
+        bindings.push(("output", outputs[0]));
+        let grid = Grid::linear(elements, 64);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
+        Ok(())
+    }
+}

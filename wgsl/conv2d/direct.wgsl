@@ -1,0 +1,297 @@
+// 2-D convolution with bias, optional residual and ReLU, on maps of four channels a texel.
+//
+// One invocation computes CHANNELS outputs at each of PIXELS pixels side by side. With SUBGROUPS the
+// lanes of a subgroup work on different pixels and the same channels: a texel of weights is read by one
+// lane and spread to all. The TAPS taps of a kernel's row share the inputs that they have in common.
+//
+// A block of QUADS quads of input channels is summed for itself and then added to the total: shorter
+// sums lose fewer digits. Where the blocks are split, a workgroup sums some of them as a picture of its
+// own, and `conv2d/join` adds those up.
+//
+// Constants: WORKGROUP invocations; KERNEL rows; TAPS columns, 1 or all; SPREAD columns of inputs between
+// pixels, as they are loaded; DILATION columns between taps; QUADS. With ANY,
+// the kernel has any size; with THREE, the input has at most three channels.
+
+// include: quads
+// include: products
+// include: relu
+
+struct Params {
+    input: Quads,
+    output: Quads,
+    kernel_height: u32,
+    kernel_width: u32,
+    stride: u32,
+    // Between columns of inputs that are loaded: 1 where taps share them, else the stride.
+    step: u32,
+    padding: u32,
+    dilation: u32,
+    // Groups of PIXELS in a row of outputs.
+    strips: u32,
+    blocks: u32,
+    // Parts that the blocks are split into, and blocks of each.
+    splits: u32,
+    split_blocks: u32,
+    // Columns of `weight`.
+    weight_width: u32,
+    has_residual: u32,
+    relu: u32,
+    pad0: u32,
+    pad1: u32,
+    pad2: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var input: texture_storage_2d<rgba32float, read>;
+// A texel is one output's weights of four input channels, zero in the padding. Texels lie as they are
+// read: by tile, quad of inputs, row of the kernel, tap, output of the tile.
+@group(0) @binding(2) var weight: texture_storage_2d<rgba32float, read>;
+// Of whole tiles.
+@group(0) @binding(3) var<storage, read> bias: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> residual: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> output: array<vec4<f32>>;
+
+// Columns of inputs that the pixels and taps of a strip have between them.
+const SPAN: u32 = (PIXELS - 1u) * SPREAD + (TAPS - 1u) * DILATION + 1u;
+alias Strip = array<vec4<f32>, SPAN>;
+
+// The inputs of four pixels, by channel.
+fn pixels(strip: ptr<function, Strip>, at: u32) -> mat4x4<f32> {
+    return transpose(mat4x4<f32>(
+        (*strip)[at],
+        (*strip)[at + SPREAD],
+        (*strip)[at + 2u * SPREAD],
+        (*strip)[at + 3u * SPREAD],
+    ));
+}
+
+#if SUBGROUPS
+const PIXELS: u32 = 4u;
+const CHANNELS: u32 = 16u;
+
+// Four outputs each.
+struct Sums {
+    a: mat4x4<f32>,
+    b: mat4x4<f32>,
+    c: mat4x4<f32>,
+    d: mat4x4<f32>,
+}
+
+// Sums with a tap whose weights begin at `at` and whose inputs begin at `first_input` of the strip.
+fn add_tap(
+    sums: Sums,
+    at: vec2<u32>,
+    lane: u32,
+    strip: ptr<function, Strip>,
+    first_input: u32,
+) -> Sums {
+    let x = pixels(strip, first_input);
+#if FOUR_LANES
+    let own = at + vec2<u32>(lane % 4u, 0u);
+    return Sums(
+        add_products(sums.a, first(textureLoad(weight, own)), x),
+        add_products(sums.b, first(textureLoad(weight, own + vec2<u32>(4u, 0u))), x),
+        add_products(sums.c, first(textureLoad(weight, own + vec2<u32>(8u, 0u))), x),
+        add_products(sums.d, first(textureLoad(weight, own + vec2<u32>(12u, 0u))), x),
+    );
+#else
+#if EIGHT_LANES
+    let own = at + vec2<u32>(lane % 8u, 0u);
+    let near = textureLoad(weight, own);
+    let far = textureLoad(weight, own + vec2<u32>(8u, 0u));
+    return Sums(
+        add_products(sums.a, first(near), x),
+        add_products(sums.b, second(near), x),
+        add_products(sums.c, first(far), x),
+        add_products(sums.d, second(far), x),
+    );
+#else
+    let all = textureLoad(weight, at + vec2<u32>(lane % 16u, 0u));
+    return Sums(
+        add_products(sums.a, first(all), x),
+        add_products(sums.b, second(all), x),
+        add_products(sums.c, third(all), x),
+        add_products(sums.d, fourth(all), x),
+    );
+#endif
+#endif
+}
+
+fn join(a: Sums, b: Sums) -> Sums {
+    return Sums(a.a + b.a, a.b + b.b, a.c + b.c, a.d + b.d);
+}
+
+// Four outputs a texel: of each pixel, then the next four.
+fn texels(sums: Sums) -> array<vec4<f32>, 16> {
+    let a = transpose(sums.a);
+    let b = transpose(sums.b);
+    let c = transpose(sums.c);
+    let d = transpose(sums.d);
+    return array<vec4<f32>, 16>(
+        a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3],
+        c[0], c[1], c[2], c[3], d[0], d[1], d[2], d[3],
+    );
+}
+#else
+const PIXELS: u32 = 8u;
+const CHANNELS: u32 = 4u;
+
+// Four pixels each.
+struct Sums {
+    a: mat4x4<f32>,
+    b: mat4x4<f32>,
+}
+
+// Sums with a tap whose weights begin at `at` and whose inputs begin at `first_input` of the strip.
+fn add_tap(
+    sums: Sums,
+    at: vec2<u32>,
+    lane: u32,
+    strip: ptr<function, Strip>,
+    first_input: u32,
+) -> Sums {
+    let w = Four(
+        textureLoad(weight, at),
+        textureLoad(weight, at + vec2<u32>(1u, 0u)),
+        textureLoad(weight, at + vec2<u32>(2u, 0u)),
+        textureLoad(weight, at + vec2<u32>(3u, 0u)),
+    );
+    return Sums(
+        add_products(sums.a, w, pixels(strip, first_input)),
+        add_products(sums.b, w, pixels(strip, first_input + 4u * SPREAD)),
+    );
+}
+
+fn join(a: Sums, b: Sums) -> Sums {
+    return Sums(a.a + b.a, a.b + b.b);
+}
+
+// Four outputs a texel, of each pixel.
+fn texels(sums: Sums) -> array<vec4<f32>, 8> {
+    let a = transpose(sums.a);
+    let b = transpose(sums.b);
+    return array<vec4<f32>, 8>(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3]);
+}
+#endif
+
+@compute @workgroup_size(WORKGROUP)
+fn main(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+#if SUBGROUPS
+    @builtin(subgroup_invocation_id) lane: u32,
+#endif
+) {
+#if !SUBGROUPS
+    let lane = 0u;
+#endif
+    // Lanes past the last strip repeat it.
+    let last = params.strips * params.output.height - 1u;
+    let index = workgroup.x * WORKGROUP + local;
+    let strip_index = min(index, last);
+    let out_y = strip_index / params.strips;
+    let out_x = strip_index % params.strips * PIXELS;
+    // Wraps below zero to a large number, so that one comparison finds both sides.
+    let left = out_x * params.stride - params.padding;
+    let top = out_y * params.stride - params.padding;
+    let tile = workgroup.y;
+    let picture = workgroup.z / params.splits;
+    let begin = workgroup.z % params.splits * params.split_blocks;
+    let end = min(begin + params.split_blocks, params.blocks);
+    let width = params.input.width;
+    let height = params.input.height;
+    let pitch = params.input.pitch;
+    let columns = params.input.columns * pitch;
+    let quads = params.input.quads;
+    let step = params.step;
+    let dilation = params.dilation;
+#if ANY
+    let kernel_height = params.kernel_height;
+    let kernel_width = params.kernel_width;
+#else
+    let kernel_height = KERNEL;
+    let kernel_width = TAPS;
+#endif
+
+    // The taps of a row that are added together lie side by side.
+    let taps = TAPS * CHANNELS;
+    let taps_of_row = params.weight_width / taps;
+    let first_taps = (tile * params.blocks + begin) * QUADS * kernel_height * (kernel_width / TAPS);
+    var at = vec2<u32>(first_taps % taps_of_row * taps, first_taps / taps_of_row);
+    // A quad of inputs, and where it lies. Division is slow.
+    var quad = begin * QUADS;
+    var corner = texel(params.input, picture, quad, 0u, 0u);
+    var total = Sums();
+    for (var block = begin; block < end; block++) {
+        var part = Sums();
+        for (var i = 0u; i < QUADS; i++) {
+            for (var ky = 0u; ky < kernel_height; ky++) {
+                let in_y = top + ky * dilation;
+                let row = corner.y + min(in_y, height - 1u);
+#if ANY
+                for (var kx = 0u; kx < kernel_width; kx++) {
+                    let first_column = left + kx * dilation;
+#else
+                    let first_column = left;
+#endif
+                    var strip: Strip;
+                    for (var j = 0u; j < SPAN; j++) {
+                        let in_x = first_column + j * step;
+                        let x = textureLoad(input, vec2<u32>(corner.x + min(in_x, width - 1u), row));
+                        strip[j] = select(vec4<f32>(), x, (in_y < height) & (in_x < width));
+                    }
+                    part = add_tap(part, at, lane, &strip, 0u);
+#if TAPS_3
+                    part = add_tap(part, at + vec2<u32>(CHANNELS, 0u), lane, &strip, DILATION);
+                    part = add_tap(part, at + vec2<u32>(2u * CHANNELS, 0u), lane, &strip, 2u * DILATION);
+#endif
+#if TAPS_7
+                    part = add_tap(part, at + vec2<u32>(CHANNELS, 0u), lane, &strip, DILATION);
+                    part = add_tap(part, at + vec2<u32>(2u * CHANNELS, 0u), lane, &strip, 2u * DILATION);
+                    part = add_tap(part, at + vec2<u32>(3u * CHANNELS, 0u), lane, &strip, 3u * DILATION);
+                    part = add_tap(part, at + vec2<u32>(4u * CHANNELS, 0u), lane, &strip, 4u * DILATION);
+                    part = add_tap(part, at + vec2<u32>(5u * CHANNELS, 0u), lane, &strip, 5u * DILATION);
+                    part = add_tap(part, at + vec2<u32>(6u * CHANNELS, 0u), lane, &strip, 6u * DILATION);
+#endif
+                    at.x += taps;
+                    at = select(at, vec2<u32>(0u, at.y + 1u), at.x == params.weight_width);
+#if ANY
+                }
+#endif
+            }
+            // The last block may have fewer quads: it repeats the last, with weights of zero.
+            quad += 1u;
+            let beside = corner.x + pitch;
+            let below = vec2<u32>(0u, corner.y + height);
+            let next = select(vec2<u32>(beside, corner.y), below, beside == columns);
+            corner = select(corner, next, quad < quads);
+        }
+        total = join(total, part);
+    }
+
+    var sums = texels(total);
+    var out_quad = tile * (CHANNELS / 4u);
+    // Bounds that compilers do not see: unrolled, the loads would take long to compile.
+    for (var i = 0u; i < CHANNELS / 4u + params.output.zero; i++) {
+        let first_at = texel_index(
+            params.output,
+            texel(params.output, workgroup.z, out_quad, out_y, out_x),
+        );
+        let channel = out_quad * 4u + vec4<u32>(0u, 1u, 2u, 3u);
+        let exists = channel < vec4<u32>(params.output.channels);
+        for (var j = 0u; j < PIXELS + params.output.zero; j++) {
+            if (index <= last) & (out_x + j < params.output.width) & exists.x {
+                let at = first_at + j;
+                var value = sums[i * PIXELS + j] + bias[out_quad];
+                if params.has_residual != 0u {
+                    value += residual[at];
+                }
+                if params.relu != 0u {
+                    value = relu(value);
+                }
+                output[at] = select(vec4<f32>(), value, exists);
+            }
+        }
+        out_quad += 1u;
+    }
+}

@@ -1,0 +1,137 @@
+// A square crop of a packed RGBA8 picture, resized to size x size and normalised, as a map
+// of three channels, four a texel.
+//
+// The mean is subtracted in two parts: a whole number of levels from each pixel, which is exact, and
+// the rest at the end. So a picture near its mean loses no digits to the subtraction.
+//
+// The filter is a triangle, widened where the picture shrinks. Distances are counted in
+// 1 / (2 size) of a picture's pixel: pixel j has its centre at (2j + 1) size, output i at
+// (2i + 1) side, and the triangle reaches 2 max(side, size). All are integers, so that each weight
+// is exact.
+//
+// An invocation computes four pixels of a column, which share the sums of the picture's rows; a
+// workgroup is 8 x 8 such columns.
+
+// include: quads
+
+struct Params {
+    map: Quads,
+    size: u32,
+    capacity: u32,
+    shift_r: f32,
+    shift_g: f32,
+    shift_b: f32,
+    rest_r: f32,
+    rest_g: f32,
+    rest_b: f32,
+    std_r: f32,
+    std_g: f32,
+    std_b: f32,
+    pad0: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+// Red in the low byte, row-major.
+@group(0) @binding(1) var<storage, read> picture: array<u32>;
+// Picture width, picture height, crop x, crop y, crop side.
+@group(0) @binding(2) var<storage, read> crop: array<u32>;
+@group(0) @binding(3) var<storage, read_write> output: array<vec4<f32>>;
+
+// The pixels first..end of the crop, along one axis, that one output sees.
+struct Taps {
+    centre: u32,
+    reach: u32,
+    first: u32,
+    end: u32,
+}
+
+fn taps(i: u32, side: u32) -> Taps {
+    let size = params.size;
+    let centre = (2u * i + 1u) * side;
+    let reach = 2u * max(side, size);
+    var first = 0u;
+    if centre >= reach + size {
+        first = (centre - reach - size) / (2u * size) + 1u;
+    }
+    let end = min((centre + reach + size - 1u) / (2u * size), side);
+    return Taps(centre, reach, first, end);
+}
+
+// The weight of pixel `j`, zero past the triangle's reach.
+fn weight(t: Taps, j: u32) -> f32 {
+    let at = (2u * j + 1u) * params.size;
+    let distance = max(at, t.centre) - min(at, t.centre);
+    return f32(t.reach - min(distance, t.reach));
+}
+
+fn total_weight(t: Taps) -> f32 {
+    var total = 0.0;
+    for (var j = t.first; j < t.end; j++) {
+        total += weight(t, j);
+    }
+    return total;
+}
+
+fn store(at: vec2<u32>, y: u32, value: vec3<f32>) {
+    if y >= params.map.height {
+        return;
+    }
+    let rest = vec3(params.rest_r, params.rest_g, params.rest_b);
+    let deviation = vec3(params.std_r, params.std_g, params.std_b);
+    output[texel_index(params.map, at)] = vec4((value - rest) / deviation, 0.0);
+}
+
+@compute @workgroup_size(8, 8)
+fn main(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(local_invocation_id) local: vec3<u32>,
+) {
+    let map = params.map;
+    let x = workgroup.x * 8u + local.x;
+    let y = (workgroup.y * 8u + local.y) * 4u;
+    if x >= map.width || y >= map.height {
+        return;
+    }
+    let width = crop[0];
+    // The crop is data: no side is longer than the picture's, nor than the buffer.
+    let side = min(crop[4u], min(min(width, crop[1u]), params.capacity));
+    // Rows past the last repeat it; nobody stores them.
+    let last = map.height - 1u;
+    let rows0 = taps(y, side);
+    let rows1 = taps(min(y + 1u, last), side);
+    let rows2 = taps(min(y + 2u, last), side);
+    let rows3 = taps(min(y + 3u, last), side);
+    let columns = taps(x, side);
+    let shift = vec3(params.shift_r, params.shift_g, params.shift_b);
+    let corner = crop[3u] * width + crop[2u];
+    // How far the first column is from the centre, and from one to the next: integers in f32.
+    let start_distance = f32(i32(columns.centre - (2u * columns.first + 1u) * params.size));
+    let step = f32(2u * params.size);
+    let reach = f32(columns.reach);
+    var total0 = vec3(0.0);
+    var total1 = vec3(0.0);
+    var total2 = vec3(0.0);
+    var total3 = vec3(0.0);
+    for (var j = rows0.first; j < rows3.end; j++) {
+        let start = corner + j * width;
+        var row = vec3(0.0);
+        var distance = start_distance;
+        for (var i = columns.first; i < columns.end; i++) {
+            // Nor is anything read outside the picture's buffer, whatever the corner says.
+            let packed = picture[min(start + i, params.capacity - 1u)];
+            let rgb = vec3(packed & 255u, (packed >> 8u) & 255u, (packed >> 16u) & 255u);
+            row = fma(vec3(reach - abs(distance)), vec3<f32>(rgb) - shift, row);
+            distance -= step;
+        }
+        total0 = fma(vec3(weight(rows0, j)), row, total0);
+        total1 = fma(vec3(weight(rows1, j)), row, total1);
+        total2 = fma(vec3(weight(rows2, j)), row, total2);
+        total3 = fma(vec3(weight(rows3, j)), row, total3);
+    }
+    let scale = total_weight(columns) * 255.0;
+    let at = texel(map, 0u, 0u, y, x);
+    store(at, y, total0 / (total_weight(rows0) * scale));
+    store(at + vec2(0u, 1u), y + 1u, total1 / (total_weight(rows1) * scale));
+    store(at + vec2(0u, 2u), y + 2u, total2 / (total_weight(rows2) * scale));
+    store(at + vec2(0u, 3u), y + 3u, total3 / (total_weight(rows3) * scale));
+}

@@ -1,0 +1,39 @@
+// Average of each channel over space: [C, H, W] to C values from `first` on. A workgroup a channel.
+
+// include: index
+// include: reduce
+
+struct Params {
+    channels: u32,
+    area: u32,
+    first: u32,
+    // Always 0; see shared/reduce.wgsl.
+    zero: u32,
+}
+
+const WORKGROUP: u32 = 64u;
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> input: array<f32>;
+@group(0) @binding(2) var<storage, read_write> output: array<f32>;
+
+@compute @workgroup_size(WORKGROUP)
+fn main(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let channel = linear_index(workgroup, workgroups, 0u, 1u);
+    if channel >= params.channels {
+        return;
+    }
+    let plane = channel * params.area;
+    var sum = 0.0;
+    for (var i = local; i < params.area; i += WORKGROUP) {
+        sum += input[plane + i];
+    }
+    let total = tree_sum(local, vec2<f32>(sum, 0.0), 1u).x;
+    if local == 0u {
+        output[params.first + channel] = total / f32(params.area);
+    }
+}

@@ -1,0 +1,150 @@
+// A fully connected layer with bias and optional ReLU, over the rows in use.
+//
+// `partial`: with SUBGROUPS, lanes are outputs. One invocation computes four outputs, LANES apart, of
+// sixteen rows: it reads its own weights, a lane reads a row's inputs and spreads them to all. Without,
+// four outputs of eight rows, and all invocations read the same inputs. Slices of the inputs give the
+// device enough to do at few rows, and shorter sums are more accurate. `finish` adds the slices and
+// the bias.
+//
+// Constants: LANES invocations, which with SUBGROUPS are a subgroup. With ALIGNED a row is a whole
+// number of vec4.
+
+struct Params {
+    rows: u32,
+    inner: u32,
+    // vec4 in a row of inputs, padded to whole slices.
+    inner_quads: u32,
+    outputs: u32,
+    slices: u32,
+    slice_quads: u32,
+    // Columns of `weight`.
+    weight_width: u32,
+    relu: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> count: array<u32>;
+#if ALIGNED
+@group(0) @binding(2) var<storage, read> input: array<vec4<f32>>;
+#else
+@group(0) @binding(2) var<storage, read> input: array<f32>;
+#endif
+// A texel is one output's weights of four inputs, zero in the padding. Texels lie as they are read: by
+// tile of 4 * LANES outputs, quad of inputs, output of the tile.
+@group(0) @binding(3) var weight: texture_storage_2d<rgba32float, read>;
+// [slices][rows][outputs of whole tiles]
+@group(0) @binding(4) var<storage, read_write> partials: array<f32>;
+// Of whole tiles.
+@group(0) @binding(5) var<storage, read> bias: array<f32>;
+@group(0) @binding(6) var<storage, read_write> output: array<f32>;
+
+// include: index
+// include: products
+// include: relu
+
+// Four inputs of a row; zero past the end.
+fn load(row: u32, quad: u32) -> vec4<f32> {
+#if ALIGNED
+    return input[row * (params.inner / 4u) + quad];
+#else
+    let column = 4u * quad + vec4<u32>(0u, 1u, 2u, 3u);
+    let at = row * params.inner + min(column, vec4<u32>(params.inner - 1u));
+    let x = vec4<f32>(input[at.x], input[at.y], input[at.z], input[at.w]);
+    return select(vec4<f32>(), x, column < vec4<u32>(params.inner));
+#endif
+}
+
+// The inputs of four rows, by column.
+fn columns(rows: Four) -> mat4x4<f32> {
+    return transpose(mat4x4<f32>(rows.a, rows.b, rows.c, rows.d));
+}
+
+// Four rows each; a column is an output, a row a row.
+struct Sums {
+    a: mat4x4<f32>,
+    b: mat4x4<f32>,
+#if SUBGROUPS
+    c: mat4x4<f32>,
+    d: mat4x4<f32>,
+#endif
+}
+
+#if SUBGROUPS
+const ROWS: u32 = 16u;
+#else
+const ROWS: u32 = 8u;
+#endif
+
+@compute @workgroup_size(LANES)
+fn partial(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+#if SUBGROUPS
+    @builtin(subgroup_invocation_id) lane: u32,
+#endif
+) {
+    let rows = min(count[0], params.rows);
+    let first_row = workgroup.x * ROWS;
+    if first_row >= rows {
+        return;
+    }
+    let tile = workgroup.y;
+    let slice = workgroup.z;
+    let tile_width = 4u * LANES;
+    let last_row = rows - 1u;
+    let last_quad = (params.inner - 1u) / 4u;
+    let first_quad = slice * params.slice_quads;
+    let first_texel = (tile * params.inner_quads + first_quad) * tile_width;
+    var at = vec2<u32>(first_texel % params.weight_width + local, first_texel / params.weight_width);
+    let wrap = params.weight_width + local;
+    var sums = Sums();
+    for (var i = 0u; i < params.slice_quads; i++) {
+        // Quads of the last slice past the end have weights of zero.
+        let quad = min(first_quad + i, last_quad);
+        let w = Four(
+            textureLoad(weight, at),
+            textureLoad(weight, at + vec2<u32>(LANES, 0u)),
+            textureLoad(weight, at + vec2<u32>(2u * LANES, 0u)),
+            textureLoad(weight, at + vec2<u32>(3u * LANES, 0u)),
+        );
+        at.x += tile_width;
+        at = select(at, vec2<u32>(local, at.y + 1u), at.x == wrap);
+#if SUBGROUPS
+#if FOUR_LANES
+        let x0 = load(min(first_row + lane % 4u, last_row), quad);
+        let x4 = load(min(first_row + 4u + lane % 4u, last_row), quad);
+        let x8 = load(min(first_row + 8u + lane % 4u, last_row), quad);
+        let x12 = load(min(first_row + 12u + lane % 4u, last_row), quad);
+        let x = Rows(first(x0), first(x4), first(x8), first(x12));
+#else
+#if EIGHT_LANES
+        let x0 = load(min(first_row + lane % 8u, last_row), quad);
+        let x8 = load(min(first_row + 8u + lane % 8u, last_row), quad);
+        let x = Rows(first(x0), second(x0), first(x8), second(x8));
+#else
+        let x0 = load(min(first_row + lane % 16u, last_row), quad);
+        let x = Rows(first(x0), second(x0), third(x0), fourth(x0));
+#endif
+#endif
+        sums.a = add_products(sums.a, w, columns(x.a));
+        sums.b = add_products(sums.b, w, columns(x.b));
+        sums.c = add_products(sums.c, w, columns(x.c));
+        sums.d = add_products(sums.d, w, columns(x.d));
+#else
+        sums.a = add_products(sums.a, w, columns(four_rows(first_row, last_row, quad)));
+        sums.b = add_products(sums.b, w, columns(four_rows(first_row + 4u, last_row, quad)));
+#endif
+    }
+#if SUBGROUPS
+    var results = array<vec4<f32>, 16>(
+        sums.a[0], sums.b[0], sums.c[0], sums.d[0],
+        sums.a[1], sums.b[1], sums.c[1], sums.d[1],
+        sums.a[2], sums.b[2], sums.c[2], sums.d[2],
+        sums.a[3], sums.b[3], sums.c[3], sums.d[3],
+    );
+#else
+    var results = array<vec4<f32>, 8>(
+        sums.a[0], sums.b[0], sums.a[1], sums.b[1], sums.a[2], sums.b[2], sums.a[3], sums.b[3],
+    );
+#endif
+}

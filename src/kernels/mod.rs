@@ -24,6 +24,7 @@ mod linear;
 mod max_pool2d;
 mod nms;
 mod roi_align;
+pub(crate) mod roof;
 mod scale_weights;
 mod softmax;
 mod spatial_gate;
@@ -212,6 +213,7 @@ pub fn named(name: &str) -> &'static [&'static dyn Kernel] {
 /// Every shader in all variants that an adapter like `caps` may need, once.
 pub fn shaders(caps: &Caps) -> Vec<(&'static Shader, Variant)> {
     let mut found: Vec<(&'static Shader, Variant)> = Convert::shaders(caps);
+    found.push((&roof::SHADER, Variant::default()));
     for shader in all().flat_map(|kernel| kernel.shaders(caps)) {
         if !found.iter().any(|(s, v)| s.stem == shader.0.stem && *v == shader.1) {
             found.push(shader);

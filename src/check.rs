@@ -50,7 +50,7 @@ pub fn fitting(gpu: &Gpu, case: &Case) -> Result<Vec<&'static dyn Kernel>> {
     let known: Vec<bool> = case.op.inputs().iter().map(|n| WEIGHTS.contains(n)).collect();
     let op = case.op.as_ref();
     let (inputs, outputs, caps) = (&specs[..], &outputs[..], gpu.caps());
-    let work = Work { op, inputs, known: &known, outputs, batch: 1, caps };
+    let work = Work { node: 0, op, inputs, known: &known, outputs, batch: 1, caps };
     Ok(kernels::of(op)?.iter().copied().filter(|k| k.fits(&work)).collect())
 }
 

@@ -53,9 +53,9 @@
 //! | [`coco`] | labelled pictures from COCO annotations |
 //! | [`metrics`] | intersection over union, average precision, centre error |
 //!
-//! An operation is one stem in four places: `wgsl/conv2d.wgsl`, `src/ops/conv2d.rs`,
-//! `src/cpu/conv2d.rs`, `tests/ops/conv2d.rs`. The network is built once, as a [`graph::Graph`];
-//! both executors run that one graph, so they cannot drift apart.
+//! An operation is one stem in five places: `wgsl/conv2d/`, `src/kernels/conv2d/`,
+//! `src/ops/conv2d.rs`, `src/cpu/conv2d.rs`, `tests/ops/conv2d.rs`. The network is built once, as a
+//! [`graph::Graph`]; both executors run that one graph, so they cannot drift apart.
 //!
 //! # How the paper was read
 //! Where its text leaves a choice, the module that makes it says so: [`model`] for the stages,
@@ -87,11 +87,13 @@ pub mod model;
 pub mod ops;
 #[cfg(feature = "picture")]
 pub mod picture;
+pub mod profile;
 #[cfg(feature = "simulator")]
 pub mod sensor;
 pub mod shader;
 pub mod shape;
 pub mod tensor;
+pub mod tune;
 
 pub use detector::{Comparison, Config, Detection, Detections, Device, GpuDetector, WeightSource};
 pub use error::{Error, Result};

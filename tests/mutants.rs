@@ -77,7 +77,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "no sample exactly at the features' end",
-        file: "roi_align",
+        file: "roi_align/planar",
         changes: &[("at <= f32(length)", "at < f32(length)")],
         op: "roi_align",
         case: "exactly at the edges by hand",
@@ -85,7 +85,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "no sample exactly at −1",
-        file: "roi_align",
+        file: "roi_align/planar",
         changes: &[("at >= -1.0", "at > -1.0")],
         op: "roi_align",
         case: "exactly at the edges by hand",
@@ -93,7 +93,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "a mean summed by one invocation",
-        file: "global_avg_pool",
+        file: "global_avg_pool/planar",
         changes: &[(
             "for (var i = local; i < params.area; i += WORKGROUP)",
             "for (var i = 0u; i < select(0u, params.area, local == 0u); i++)",
@@ -104,7 +104,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "a mean summed by one invocation",
-        file: "channel_pool",
+        file: "channel_pool/planar",
         changes: &[(
             "for (var i = local; i < params.area; i += WORKGROUP)",
             "for (var i = 0u; i < select(0u, params.area, local == 0u); i++)",
@@ -177,7 +177,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "the means of red and green exchanged",
-        file: "crop_resize",
+        file: "crop_resize/planar",
         changes: &[("params.shift_r, params.shift_g", "params.shift_g, params.shift_r")],
         op: "crop_resize",
         case: "each channel its mean and deviation, by hand",
@@ -239,7 +239,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "channels as far apart as a square",
-        file: "max_pool2d",
+        file: "max_pool2d/planar",
         changes: &[(
             "channel * params.in_height * params.in_width",
             "channel * params.in_height * params.in_height",
@@ -250,7 +250,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "the first channel for all",
-        file: "upsample_bilinear",
+        file: "upsample_bilinear/planar",
         changes: &[("(channel * params.in_height + y.low)", "(y.low)")],
         op: "upsample_bilinear",
         case: "two channels by hand",
@@ -361,7 +361,7 @@ fn a_mutant_of_each_shader_is_noticed() {
 /// Faults that change no output, and why.
 const EQUIVALENT: &[(&str, &str, &str)] = &[
     (
-        "max_pool2d",
+        "max_pool2d/planar",
         "return (bitcast<u32>(x) & 0x7fffffffu) > 2139095041u;",
         "one signalling NaN counts as a number, which no arithmetic makes",
     ),

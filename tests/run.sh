@@ -84,7 +84,8 @@ crates() {
 }
 
 step format cargo fmt --check
-step build cargo build --locked --release
+# With what the tests need, so that nothing is built twice; the program is built with them.
+step build cargo test --locked --release --no-run
 step adapter have_adapter
 step clippy cargo clippy --locked --release --all-targets -- -D warnings
 step features features
@@ -99,5 +100,5 @@ step overflow cargo test --locked --release --lib --test cli \
     --config profile.release.package.smr-gpu.overflow-checks=true \
     --config profile.release.package.smr-gpu.debug-assertions=true
 # Under its name there is the program with those checks now: put the other one back.
-cargo build --locked --release
+cargo test --locked --release --no-run --test cli
 step shaders "$smr_gpu" check --device gpu

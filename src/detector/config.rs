@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use crate::error::{Error, Result};
 use crate::gpu::{AdapterChoice, GpuOptions};
+use crate::lower::Choice;
 use crate::model::{ModelConfig, Thresholds};
 
 #[cfg(doc)]
@@ -107,6 +108,9 @@ pub struct Config {
     pub rebuild_on_loss: bool,
     /// Pictures that may be in flight on a GPU at a time; each takes memory once it is needed.
     pub in_flight: usize,
+    /// Which kernels run on a GPU, as [`crate::tune`] measured; what it does not name is chosen by the
+    /// adapter's kind.
+    pub choice: Choice,
     /// Let wgpu check the shaders' bounds (slower; see [`GpuOptions::checked`]).
     pub checked: bool,
     /// Keep every stage's tensor, for [`GpuDetector::detect_with_stages`]; takes more memory.
@@ -136,6 +140,7 @@ impl Config {
             timeout: GpuOptions::default().timeout,
             rebuild_on_loss: true,
             in_flight: 2,
+            choice: Choice::default(),
             checked: false,
             keep_stages: false,
         }
@@ -192,6 +197,12 @@ impl Config {
     /// Sets [`Config::in_flight`].
     pub fn in_flight(mut self, pictures: usize) -> Self {
         self.in_flight = pictures;
+        self
+    }
+
+    /// Sets [`Config::choice`].
+    pub fn choice(mut self, choice: Choice) -> Self {
+        self.choice = choice;
         self
     }
 

@@ -12,7 +12,7 @@ use crate::gpu::{AdapterChoice, Deadline, Gpu, GpuOptions, Program, ProgramOptio
 use crate::graph::{StageTime, TensorId};
 #[cfg(feature = "cpu")]
 use crate::host::HostPlan;
-use crate::lower::{Choice, Request, lower};
+use crate::lower::{Request, lower};
 use crate::model::{Network, Weights};
 use crate::tensor::Value;
 
@@ -58,8 +58,8 @@ impl Engine {
         let (runner, adapter) = match (gpu, &config.device) {
             (Some(gpu), _) => {
                 let adapter = format!("{} ({})", gpu.info().name, gpu.info().backend);
-                let choice = Choice::default();
-                let request = Request { keep: &keep, batch: 1, caps: gpu.caps(), choice: &choice };
+                let choice = &config.choice;
+                let request = Request { keep: &keep, batch: 1, caps: gpu.caps(), choice };
                 let lowered = lower(&network.graph, &request)?;
                 let program = Program::new(&gpu, &lowered, None, ProgramOptions::default()).await?;
                 let pool = Pool::new(Arc::new(program), config.in_flight).await?;

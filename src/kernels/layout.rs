@@ -1,6 +1,6 @@
 //! How a tensor's values lie on a device.
 
-use crate::kernels::Caps;
+use crate::kernels::{Caps, MAX_WORKGROUPS};
 use crate::shape::TensorSpec;
 
 /// The order of a tensor's values on a device, and what holds them.
@@ -44,8 +44,9 @@ pub struct Quads {
 }
 
 impl Quads {
-    /// The arrangement of a map for `batch` pictures; `None` for what is no map `[C, H, W]`, or is too
-    /// large for the adapter's textures however it is arranged.
+    /// The arrangement of a map for `batch` pictures; `None` for what is no map `[C, H, W]`, is too
+    /// large for the adapter's textures however it is arranged, or has more rows of quads than a
+    /// dimension of a grid has workgroups.
     pub fn of(spec: &TensorSpec, batch: u32, caps: &Caps) -> Option<Self> {
         let [channels, height, width] = <[usize; 3]>::try_from(spec.shape.0.as_slice()).ok()?;
         let [channels, height, width] =
@@ -57,7 +58,9 @@ impl Quads {
             u64::from(quads.div_ceil(columns)) * u64::from(height) * u64::from(batch)
         };
         let columns = (1..=quads).find(|columns| stacked(*columns) <= most)?;
-        let fits = u64::from(columns) * u64::from(pitch) <= most && width > 0;
+        let fits = u64::from(columns) * u64::from(pitch) <= most
+            && u64::from(quads) * u64::from(height) <= u64::from(MAX_WORKGROUPS)
+            && width > 0;
         let rows = quads.div_ceil(columns) * height;
         fits.then_some(Self { width, height, quads, pitch, columns, rows, zero: 0, channels })
     }
@@ -108,6 +111,8 @@ mod tests {
         assert_eq!((two.columns, two.rows, two.texture_width()), (2, 10, 64));
         assert_eq!(Quads::of(&spec, 7, &caps(64)), None, "3 columns are 96 texels wide");
         assert_eq!(Quads::of(&TensorSpec::f32([10, 5]), 1, &caps(64)), None);
+        let rows = |quads: usize| Quads::of(&TensorSpec::f32([4 * quads, 1, 1]), 1, &caps(8192));
+        assert!(rows(65_535).is_some() && rows(65_536).is_none(), "a grid's longest side");
     }
 
     #[test]

@@ -69,6 +69,8 @@ impl Default for Caps {
 /// An operation on inputs of known shapes, for which a kernel is sought.
 #[derive(Clone, Copy, Debug)]
 pub struct Work<'a> {
+    /// Its place in the graph.
+    pub node: usize,
     /// The operation.
     pub op: &'a dyn Op,
     /// Shapes of its inputs.
@@ -165,30 +167,30 @@ pub trait Kernel: Debug + Sync {
 /// The kernels of each operation, the preferred first. The last fits everything that its operation
 /// takes.
 static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
-    ("apply_gates", &[&apply_gates::Planar]),
+    ("apply_gates", &[&apply_gates::Quads, &apply_gates::Planar]),
     ("channel_gate", &[&channel_gate::Planar]),
-    ("channel_pool", &[&channel_pool::Planar]),
+    ("channel_pool", &[&channel_pool::Quads, &channel_pool::Planar]),
     (
         "conv2d",
         &[&conv2d::Direct { split: true }, &conv2d::Direct { split: false }, &conv2d::Planar],
     ),
-    ("crop_resize", &[&crop_resize::Planar]),
+    ("crop_resize", &[&crop_resize::Quads, &crop_resize::Planar]),
     ("decode_detections", &[&decode_detections::Planar]),
     ("decode_proposals", &[&decode_proposals::Planar]),
     ("gather_rows", &[&gather_rows::Planar]),
-    ("global_avg_pool", &[&global_avg_pool::Planar]),
+    ("global_avg_pool", &[&global_avg_pool::Quads, &global_avg_pool::Planar]),
     ("indirect_grid", &[&indirect_grid::Planar]),
     ("linear", &[&linear::Planar]),
-    ("max_pool2d", &[&max_pool2d::Planar]),
+    ("max_pool2d", &[&max_pool2d::Quads, &max_pool2d::Planar]),
     ("nms", &[&nms::Planar]),
-    ("roi_align", &[&roi_align::Planar]),
+    ("roi_align", &[&roi_align::Quads, &roi_align::Planar]),
     ("scale_weights", &[&scale_weights::Planar]),
     ("softmax", &[&softmax::Planar]),
     ("spatial_gate", &[&spatial_gate::Planar]),
-    ("spatial_pool", &[&spatial_pool::Planar]),
+    ("spatial_pool", &[&spatial_pool::Quads, &spatial_pool::Planar]),
     ("top_k", &[&top_k::Planar]),
-    ("upsample_bilinear", &[&upsample_bilinear::Planar]),
-    ("weighted_sum", &[&weighted_sum::Planar]),
+    ("upsample_bilinear", &[&upsample_bilinear::Quads, &upsample_bilinear::Planar]),
+    ("weighted_sum", &[&weighted_sum::Quads, &weighted_sum::Planar]),
 ];
 
 /// The kernels of an operation, the preferred first.

@@ -2,12 +2,14 @@
 
 use std::collections::BTreeMap;
 
+use serde::{Deserialize, Serialize};
+
 use crate::error::{Error, Result};
 use crate::kernels::{self, Kernel, Work};
 
 /// Which kernel runs an operation on given shapes. What it does not name, it leaves to the order in
 /// which the kernels prefer themselves.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Choice {
     /// Kernel by operation and shapes, as [`Choice::key`] writes them.
     pub by_shape: BTreeMap<String, String>,
@@ -28,6 +30,16 @@ impl Choice {
                 Err(Error::param("choice", "kernel", known.join(", "), format!("`{id}`")))
             }
         }
+    }
+
+    /// A number that tells choices apart; equal bits are promised for one choice on one device.
+    pub fn digest(&self) -> u64 {
+        let pairs = self.by_shape.iter().flat_map(|(key, kernel)| [key, kernel]);
+        let bytes = pairs.chain(&self.forced).flat_map(|text| text.bytes().chain([0]));
+        // FNV-1a.
+        bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+            (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
+        })
     }
 
     /// An operation with its parameters and shapes.

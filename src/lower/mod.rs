@@ -28,6 +28,9 @@ pub struct Lowered {
     pub places: HashMap<TensorId, TensorId>,
     /// The kernel of each operation that runs, in order.
     pub kernels: Vec<&'static str>,
+    /// For each command, which of the graph's operations it is for: conversions belong to the one that
+    /// reads.
+    pub owners: Vec<usize>,
 }
 
 /// What is asked of a lowering.
@@ -61,30 +64,16 @@ pub fn lower(graph: &Graph, request: &Request) -> Result<Lowered> {
             layouts.declare(TensorId(index));
         }
     }
-    let mut kernels = Vec::new();
-    for node in graph.nodes().iter().zip(&live).filter_map(|(node, live)| live.then_some(node)) {
+    let (mut kernels, mut owners) = (Vec::new(), Vec::new());
+    visit(graph, &live, request.batch, request.caps, |work| {
+        let kernel = request.choice.kernel(work)?;
+        let node = &graph.nodes()[work.node];
         layouts.recording.begin_stage(&graph.stages()[node.stage]);
-        let specs = |ids: &[TensorId]| -> Vec<TensorSpec> {
-            ids.iter().map(|id| graph.spec(*id).clone()).collect()
-        };
-        let (inputs, outputs) = (specs(&node.inputs), specs(&node.outputs));
-        let known: Vec<bool> = node
-            .inputs
-            .iter()
-            .map(|id| matches!(graph.tensors()[id.0].source, Source::Constant { .. }))
-            .collect();
-        let work = Work {
-            op: node.op.as_ref(),
-            inputs: &inputs,
-            known: &known,
-            outputs: &outputs,
-            batch: request.batch,
-            caps: request.caps,
-        };
-        let kernel = request.choice.kernel(&work)?;
         kernels.push(kernel.id());
-        layouts.record(node, kernel, &work)?;
-    }
+        layouts.record(node, kernel, work)?;
+        owners.resize(layouts.recording.commands().len(), work.node);
+        Ok(())
+    })?;
     let mut places = HashMap::new();
     for (index, tensor) in graph.tensors().iter().enumerate() {
         let id = TensorId(index);
@@ -98,7 +87,41 @@ pub fn lower(graph: &Graph, request: &Request) -> Result<Lowered> {
         }
         places.insert(id, place);
     }
-    Ok(Lowered { recording: layouts.recording, places, kernels })
+    Ok(Lowered { recording: layouts.recording, places, kernels, owners })
+}
+
+/// Calls `each` with every operation on which an output of `graph` depends, in order.
+///
+/// # Errors
+/// What `each` returns.
+pub fn works(
+    graph: &Graph,
+    batch: u32,
+    caps: &Caps,
+    each: impl FnMut(&Work) -> Result<()>,
+) -> Result<()> {
+    visit(graph, &live(graph, graph.outputs()), batch, caps, each)
+}
+
+fn visit(
+    graph: &Graph,
+    live: &[bool],
+    batch: u32,
+    caps: &Caps,
+    mut each: impl FnMut(&Work) -> Result<()>,
+) -> Result<()> {
+    let specs = |ids: &[TensorId]| -> Vec<TensorSpec> {
+        ids.iter().map(|id| graph.spec(*id).clone()).collect()
+    };
+    let constant = |id: &TensorId| matches!(graph.tensors()[id.0].source, Source::Constant { .. });
+    for (index, node) in graph.nodes().iter().enumerate().filter(|(index, _)| live[*index]) {
+        let (inputs, outputs) = (specs(&node.inputs), specs(&node.outputs));
+        let known: Vec<bool> = node.inputs.iter().map(constant).collect();
+        let op = node.op.as_ref();
+        let (inputs, known, outputs) = (&inputs[..], &known[..], &outputs[..]);
+        each(&Work { node: index, op, inputs, known, outputs, batch, caps })?;
+    }
+    Ok(())
 }
 
 /// For each operation, whether something that is wanted depends on it.

@@ -1,11 +1,13 @@
 //! Reading a weight file: safetensors, names as in PyTorch's state dict, f16 or f32.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use half::slice::HalfFloatSliceExt;
 use safetensors::{Dtype, SafeTensors};
 
 use crate::error::{Error, Result};
@@ -59,9 +61,18 @@ impl Stored {
     fn tensor(&self) -> Tensor {
         let bytes: &[u8] = (*self.bytes).as_ref();
         let bytes = &bytes[self.range.clone()];
-        Tensor::from_fn(self.shape.clone(), |i| match self.half {
-            true => half::f16::from_le_bytes([bytes[2 * i], bytes[2 * i + 1]]).to_f32(),
-            false => f32::from_le_bytes(std::array::from_fn(|k| bytes[4 * i + k])),
+        if self.half {
+            // The tensors of a file need not lie where their elements may.
+            let values: Cow<[half::f16]> = match bytemuck::try_cast_slice(bytes) {
+                Ok(values) => values.into(),
+                Err(_) => bytemuck::pod_collect_to_vec(bytes).into(),
+            };
+            let mut tensor = Tensor::zeros(self.shape.clone());
+            values.convert_to_f32_slice(tensor.data_mut());
+            return tensor;
+        }
+        Tensor::from_fn(self.shape.clone(), |i| {
+            f32::from_le_bytes(std::array::from_fn(|k| bytes[4 * i + k]))
         })
     }
 }

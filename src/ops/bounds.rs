@@ -36,6 +36,8 @@ pub enum Joined {
     InOrder,
     /// Two and two, and so on.
     ByTree,
+    /// So many one after the other, so many of those sums one after the other, and so on.
+    Nested([usize; 3]),
 }
 
 impl SumOrder {
@@ -49,6 +51,12 @@ impl SumOrder {
         Self { terms: count.div_ceil(parts), parts, joined: Joined::ByTree, more: 0 }
     }
 
+    /// Sums of `terms` products, brought together by so many at each of three levels.
+    pub fn nested(terms: usize, levels: [usize; 3]) -> Self {
+        let parts = levels.iter().product();
+        Self { terms, parts, joined: Joined::Nested(levels), more: 0 }
+    }
+
     /// The same with `more` values added to it.
     pub fn and(self, more: usize) -> Self {
         Self { more, ..self }
@@ -60,6 +68,7 @@ impl SumOrder {
         let joins = match self.joined {
             Joined::InOrder => self.parts.saturating_sub(1),
             Joined::ByTree => self.parts.next_power_of_two().ilog2() as usize,
+            Joined::Nested(levels) => levels.iter().map(|n| n.saturating_sub(1)).sum(),
         };
         self.terms + joins + self.more
     }
@@ -125,6 +134,8 @@ mod tests {
         assert_eq!(SumOrder::dealt(100, 64).and(1).roundings(), 2 + 6 + 1);
         let taps = SumOrder { terms: 512, parts: 9, joined: Joined::InOrder, more: 2 };
         assert_eq!(taps.roundings(), 512 + 8 + 2);
+        // Rows of 20 values, ten of them, eight such parts, four chunks.
+        assert_eq!(SumOrder::nested(20, [10, 8, 4]).roundings(), 20 + 9 + 7 + 3);
     }
 
     /// The deepest sum of the network, fc6: 16 slices of 784 products and a bias.
@@ -142,6 +153,7 @@ mod tests {
             SumOrder::serial(4096),
             SumOrder::dealt(25_600, 64),
             SumOrder { terms: 512, parts: 9, joined: Joined::InOrder, more: 0 },
+            SumOrder::nested(20, [20, 8, 8]),
         ] {
             let part: f32 = (0..order.terms).map(|_| term * term).sum();
             let mut parts = vec![part; order.parts];
@@ -150,6 +162,12 @@ mod tests {
                 Joined::ByTree => {
                     while parts.len() > 1 {
                         parts = parts.chunks(2).map(|pair| pair.iter().sum()).collect();
+                    }
+                    parts[0]
+                }
+                Joined::Nested(levels) => {
+                    for level in levels {
+                        parts = parts.chunks(level).map(|sums| sums.iter().sum()).collect();
                     }
                     parts[0]
                 }

@@ -52,12 +52,22 @@ impl Op for ChannelPool {
     }
 
     /// Averages in [`PARTIAL_SUMS`] parts: one after the other, 160 × 160 values would lose 1.5e-3.
-    /// Maxima are inputs, so exact.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        Self::averaged(inputs, |height, width| SumOrder::dealt(height * width, PARTIAL_SUMS))
+    }
+}
+
+impl ChannelPool {
+    /// The bounds where the sum over a map of this height and width has this order. Maxima are
+    /// inputs, so exact.
+    pub(crate) fn averaged(
+        inputs: &[&Value],
+        order: impl Fn(usize, usize) -> SumOrder,
+    ) -> Result<Vec<Tolerance>> {
         let sizes = magnitude(inputs[0])?;
         let [channels, height, width] = [0, 1, 2].map(|i| sizes.dims()[i]);
         let means = cpu::global_avg_pool(&sizes);
-        let order = SumOrder::dealt(height * width, PARTIAL_SUMS);
+        let order = order(height, width);
         let averages = means.data().iter().map(|m| mean_error(order, f64::from(*m)));
         Ok(vec![Tolerance::Each(averages.chain(vec![0.0; channels]).collect())])
     }

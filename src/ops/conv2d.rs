@@ -151,6 +151,11 @@ impl Op for Conv2d {
     fn unbiased(&self) -> bool {
         true
     }
+
+    fn multiply_adds(&self, inputs: &[TensorSpec], outputs: &[TensorSpec]) -> u64 {
+        let each: usize = inputs[1].shape.0[1..].iter().product();
+        (outputs[0].shape.elements() * each) as u64
+    }
 }
 
 fn build(params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {

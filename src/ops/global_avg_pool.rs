@@ -68,11 +68,20 @@ impl Op for GlobalAvgPool {
 
     /// A mean in [`PARTIAL_SUMS`] parts: one after the other, 160 × 160 values would lose 1.5e-3.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        Self::averaged(inputs, |height, width| SumOrder::dealt(height * width, PARTIAL_SUMS))
+    }
+}
+
+impl GlobalAvgPool {
+    /// The bounds where the sum over a map of this height and width has this order.
+    pub(crate) fn averaged(
+        inputs: &[&Value],
+        order: impl Fn(usize, usize) -> SumOrder,
+    ) -> Result<Vec<Tolerance>> {
         let mut each = Vec::new();
         for input in inputs {
             let sizes = magnitude(input)?;
-            let area = sizes.dims()[1] * sizes.dims()[2];
-            let order = SumOrder::dealt(area, PARTIAL_SUMS);
+            let order = order(sizes.dims()[1], sizes.dims()[2]);
             let means = cpu::global_avg_pool(&sizes);
             each.extend(means.data().iter().map(|m| mean_error(order, f64::from(*m))));
         }

@@ -96,6 +96,11 @@ impl Op for Linear {
         true
     }
 
+    /// Of all rows, whatever a count says.
+    fn multiply_adds(&self, inputs: &[TensorSpec], outputs: &[TensorSpec]) -> u64 {
+        (outputs[0].shape.elements() * inputs[1].shape.0[1]) as u64
+    }
+
     fn defined(&self, reference: &[&Value], inputs: &[&Value]) -> Vec<usize> {
         let shape = reference[0].spec().shape;
         let rows = live(inputs.get(3).copied(), shape.0[0]).unwrap_or(0);

@@ -1,7 +1,7 @@
 //! The operations: for each, its parameters, shape check, reference, error bound and cases.
 //!
-//! One operation is one stem in four places: `wgsl/<op>.wgsl`, `src/ops/<op>.rs`,
-//! `src/cpu/<op>.rs` and `tests/ops/<op>.rs`.
+//! One operation is one stem in five places: `wgsl/` and `src/kernels/`, a file or a folder for
+//! several kernels, `src/ops/<op>.rs`, `src/cpu/<op>.rs` and `tests/ops/<op>.rs`.
 
 pub mod case;
 pub mod op;

@@ -103,6 +103,12 @@ pub trait Op: Any + Debug + Send + Sync {
         false
     }
 
+    /// Multiplications that its definition asks for, each with an addition, where they are what it
+    /// costs: those of convolutions and layers.
+    fn multiply_adds(&self, _inputs: &[TensorSpec], _outputs: &[TensorSpec]) -> u64 {
+        0
+    }
+
     /// How many leading elements of each output are defined, where a count on the device decides;
     /// what lies behind them is neither written nor compared.
     fn defined(&self, reference: &[&Value], _inputs: &[&Value]) -> Vec<usize> {

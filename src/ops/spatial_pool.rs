@@ -56,14 +56,24 @@ impl Op for SpatialPool {
         Ok(vec![cpu::spatial_pool(inputs[0].f32()?, inputs[1].f32()?).into()])
     }
 
-    /// A maximum is one product, so one rounding (and the reference's own) of the largest of all;
-    /// the mean is one of C products, dealt out to `SLICES` invocations.
+    /// The channels are dealt out to `SLICES` invocations.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
+        Self::averaged(inputs, |channels| SumOrder::dealt(channels, SLICES))
+    }
+}
+
+impl SpatialPool {
+    /// The bounds where the sum over so many channels has this order. A maximum is one product, so
+    /// one rounding (and the reference's own) of the largest of all; the mean is one of C products.
+    pub(crate) fn averaged(
+        inputs: &[&Value],
+        order: impl Fn(usize) -> SumOrder,
+    ) -> Result<Vec<Tolerance>> {
         let (input, gate) = (magnitude(inputs[0])?, magnitude(inputs[1])?);
         let sizes = cpu::spatial_pool(&input, &gate);
         let (largest, means) = sizes.data().split_at(sizes.data().len() / 2);
         let maxima = largest.iter().map(|m| sum_error(2, f64::from(*m)));
-        let order = SumOrder::dealt(gate.data().len(), SLICES);
+        let order = order(gate.data().len());
         let means = means.iter().map(|m| mean_error(order, f64::from(*m)));
         Ok(vec![Tolerance::Each(maxima.chain(means).collect())])
     }

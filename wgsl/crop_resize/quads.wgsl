@@ -8,7 +8,7 @@
 // 1 / (2 size) of a picture's pixel: pixel j has its centre at (2j + 1) size, output i at
 // (2i + 1) side, and the triangle reaches 2 max(side, size). All are integers, so that each weight
 // is exact.
-
+//
 // An invocation computes four pixels of a column, which share the sums of the picture's rows; a
 // workgroup is 8 x 8 such columns.
 
@@ -18,9 +18,6 @@ struct Params {
     map: Quads,
     size: u32,
     capacity: u32,
-    // Elements of a picture of each buffer.
-    picture_stride: u32,
-    crop_stride: u32,
     shift_r: f32,
     shift_g: f32,
     shift_b: f32,
@@ -31,8 +28,6 @@ struct Params {
     std_g: f32,
     std_b: f32,
     pad0: u32,
-    pad1: u32,
-    pad2: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -97,11 +92,9 @@ fn main(
     if x >= map.width || y >= map.height {
         return;
     }
-    let first_crop = workgroup.z * params.crop_stride;
-    let first_pixel = workgroup.z * params.picture_stride;
-    let width = crop[first_crop];
+    let width = crop[0];
     // The crop is data: no side is longer than the picture's, nor than the buffer.
-    let side = min(crop[first_crop + 4u], min(min(width, crop[first_crop + 1u]), params.capacity));
+    let side = min(crop[4u], min(min(width, crop[1u]), params.capacity));
     // Rows past the last repeat it; nobody stores them.
     let last = map.height - 1u;
     let rows0 = taps(y, side);
@@ -110,7 +103,7 @@ fn main(
     let rows3 = taps(min(y + 3u, last), side);
     let columns = taps(x, side);
     let shift = vec3(params.shift_r, params.shift_g, params.shift_b);
-    let corner = crop[first_crop + 3u] * width + crop[first_crop + 2u];
+    let corner = crop[3u] * width + crop[2u];
     // How far the first column is from the centre, and from one to the next: integers in f32.
     let start_distance = f32(i32(columns.centre - (2u * columns.first + 1u) * params.size));
     let step = f32(2u * params.size);
@@ -125,7 +118,7 @@ fn main(
         var distance = start_distance;
         for (var i = columns.first; i < columns.end; i++) {
             // Nor is anything read outside the picture's buffer, whatever the corner says.
-            let packed = picture[first_pixel + min(start + i, params.capacity - 1u)];
+            let packed = picture[min(start + i, params.capacity - 1u)];
             let rgb = vec3(packed & 255u, (packed >> 8u) & 255u, (packed >> 16u) & 255u);
             row = fma(vec3(reach - abs(distance)), vec3<f32>(rgb) - shift, row);
             distance -= step;
@@ -136,7 +129,7 @@ fn main(
         total3 = fma(vec3(weight(rows3, j)), row, total3);
     }
     let scale = total_weight(columns) * 255.0;
-    let at = texel(map, workgroup.z, 0u, y, x);
+    let at = texel(map, 0u, 0u, y, x);
     store(at, y, total0 / (total_weight(rows0) * scale));
     store(at + vec2(0u, 1u), y + 1u, total1 / (total_weight(rows1) * scale));
     store(at + vec2(0u, 2u), y + 2u, total2 / (total_weight(rows2) * scale));

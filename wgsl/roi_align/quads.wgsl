@@ -18,11 +18,7 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-#if TEXTURE
 @group(0) @binding(1) var features: texture_storage_2d<rgba32float, read>;
-#else
-@group(0) @binding(1) var<storage, read> features: array<vec4<f32>>;
-#endif
 @group(0) @binding(2) var<storage, read> boxes: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> count: array<u32>;
 @group(0) @binding(4) var<storage, read_write> output: array<f32>;
@@ -44,12 +40,7 @@ fn neighbours(at: f32, length: u32) -> Neighbours {
 }
 
 fn load(origin: vec2<u32>, y: u32, x: u32) -> vec4<f32> {
-    let at = origin + vec2(x, y);
-#if TEXTURE
-    return textureLoad(features, at);
-#else
-    return features[texel_index(params.map, at)];
-#endif
+    return textureLoad(features, origin + vec2(x, y));
 }
 
 // A sample of the quad that begins at `origin`.

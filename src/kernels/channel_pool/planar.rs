@@ -1,9 +1,9 @@
-//! CBAM's pooling over channels.
+//! The definition, on planar maps.
 
 use crate::error::Result;
 use crate::graph::TensorId;
 use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
-use crate::ops::SpatialPool;
+use crate::ops::ChannelPool;
 use crate::shader::{Shader, Variant, shader_params};
 
 shader_params! {
@@ -15,21 +15,18 @@ shader_params! {
 }
 
 static SHADER: Shader = Shader {
-    stem: "spatial_pool",
-    source: include_str!("../../wgsl/spatial_pool.wgsl"),
+    stem: "channel_pool/planar",
+    source: include_str!("../../../wgsl/channel_pool/planar.wgsl"),
     params: PARAMS,
 };
 
-/// Pixels that one workgroup computes.
-const PIXELS: usize = 32;
-
 /// The definition, on planar maps.
 #[derive(Debug)]
-pub(super) struct Planar;
+pub(in crate::kernels) struct Planar;
 
 impl Kernel for Planar {
     fn id(&self) -> &'static str {
-        "spatial_pool/planar"
+        "channel_pool/planar"
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
@@ -43,11 +40,11 @@ impl Kernel for Planar {
         inputs: &[TensorId],
         outputs: &[TensorId],
     ) -> Result<()> {
-        let _op: &SpatialPool = work.op()?;
+        let _op: &ChannelPool = work.op()?;
         let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
         let params = Params { channels, area: height * width, zero: 0 };
-        let bindings = [("input", inputs[0]), ("channel_gate", inputs[1]), ("output", outputs[0])];
-        let grid = Grid::linear(params.area as usize, PIXELS as u32);
+        let bindings = [("input", inputs[0]), ("output", outputs[0])];
+        let grid = Grid::linear(channels as usize, 1);
         recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! RoIAlign: features of each box on a grid of fixed size.
+//! The definition, on planar maps.
 
 use crate::error::Result;
 use crate::graph::TensorId;
@@ -20,12 +20,15 @@ shader_params! {
     }
 }
 
-static SHADER: Shader =
-    Shader { stem: "roi_align", source: include_str!("../../wgsl/roi_align.wgsl"), params: PARAMS };
+static SHADER: Shader = Shader {
+    stem: "roi_align/planar",
+    source: include_str!("../../../wgsl/roi_align/planar.wgsl"),
+    params: PARAMS,
+};
 
 /// The definition, on planar maps.
 #[derive(Debug)]
-pub(super) struct Planar;
+pub(in crate::kernels) struct Planar;
 
 impl Kernel for Planar {
     fn id(&self) -> &'static str {

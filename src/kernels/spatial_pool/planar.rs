@@ -1,31 +1,35 @@
-//! CBAM's gating.
+//! The definition, on planar maps.
 
 use crate::error::Result;
 use crate::graph::TensorId;
 use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
-use crate::ops::ApplyGates;
+use crate::ops::SpatialPool;
 use crate::shader::{Shader, Variant, shader_params};
 
 shader_params! {
     struct Params {
         channels: u32,
         area: u32,
+        zero: u32,
     }
 }
 
 static SHADER: Shader = Shader {
-    stem: "apply_gates",
-    source: include_str!("../../wgsl/apply_gates.wgsl"),
+    stem: "spatial_pool/planar",
+    source: include_str!("../../../wgsl/spatial_pool/planar.wgsl"),
     params: PARAMS,
 };
 
+/// Pixels that one workgroup computes.
+const PIXELS: usize = 32;
+
 /// The definition, on planar maps.
 #[derive(Debug)]
-pub(super) struct Planar;
+pub(in crate::kernels) struct Planar;
 
 impl Kernel for Planar {
     fn id(&self) -> &'static str {
-        "apply_gates/planar"
+        "spatial_pool/planar"
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
@@ -39,16 +43,11 @@ impl Kernel for Planar {
         inputs: &[TensorId],
         outputs: &[TensorId],
     ) -> Result<()> {
-        let _op: &ApplyGates = work.op()?;
+        let _op: &SpatialPool = work.op()?;
         let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
-        let params = Params { channels, area: height * width };
-        let bindings = [
-            ("input", inputs[0]),
-            ("channel_gate", inputs[1]),
-            ("spatial_gate", inputs[2]),
-            ("output", outputs[0]),
-        ];
-        let grid = Grid::linear(recording.info(outputs[0]).spec.shape.elements(), 64);
+        let params = Params { channels, area: height * width, zero: 0 };
+        let bindings = [("input", inputs[0]), ("channel_gate", inputs[1]), ("output", outputs[0])];
+        let grid = Grid::linear(params.area as usize, PIXELS as u32);
         recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }

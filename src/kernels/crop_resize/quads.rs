@@ -1,13 +1,14 @@
-//! A square crop of a picture, resized and normalised.
+//! On maps of four channels a texel.
 
 use crate::error::Result;
 use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, layout};
 use crate::ops::CropResize;
 use crate::shader::{Shader, Variant, shader_params};
 
 shader_params! {
     struct Params {
+        map: layout::Quads,
         size: u32,
         capacity: u32,
         shift_r: f32,
@@ -19,26 +20,37 @@ shader_params! {
         std_r: f32,
         std_g: f32,
         std_b: f32,
+        pad0: u32,
     }
 }
 
 static SHADER: Shader = Shader {
-    stem: "crop_resize",
-    source: include_str!("../../wgsl/crop_resize.wgsl"),
+    stem: "crop_resize/quads",
+    source: include_str!("../../../wgsl/crop_resize/quads.wgsl"),
     params: PARAMS,
 };
 
-/// The definition, on planar maps.
+/// Each invocation computes four pixels of a column.
+///
+/// Each picture of a batch lies in a buffer of its own, so each has a dispatch of its own.
 #[derive(Debug)]
-pub(super) struct Planar;
+pub(in crate::kernels) struct Quads;
 
-impl Kernel for Planar {
+impl Kernel for Quads {
     fn id(&self) -> &'static str {
-        "crop_resize/planar"
+        "crop_resize/quads"
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
         vec![(&SHADER, Variant::default())]
+    }
+
+    fn fits(&self, work: &Work) -> bool {
+        work.has_quads(&work.outputs[0])
+    }
+
+    fn writes(&self, _work: &Work) -> Layout {
+        Layout::Quads
     }
 
     fn record(
@@ -49,10 +61,12 @@ impl Kernel for Planar {
         outputs: &[TensorId],
     ) -> Result<()> {
         let op: &CropResize = work.op()?;
+        let map = recording.quads(outputs[0])?;
         let [shift_r, shift_g, shift_b] = op.shift().map(|(shift, _)| f32::from(shift));
         let [rest_r, rest_g, rest_b] = op.shift().map(|(_, rest)| rest as f32);
         let [std_r, std_g, std_b] = op.std;
         let params = Params {
+            map,
             size: op.size as u32,
             capacity: recording.dims(inputs[0])[0] as u32,
             shift_r,
@@ -64,9 +78,10 @@ impl Kernel for Planar {
             std_r,
             std_g,
             std_b,
+            pad0: 0,
         };
         let bindings = [("picture", inputs[0]), ("crop", inputs[1]), ("output", outputs[0])];
-        let grid = Grid::linear(op.size * op.size, 64);
+        let grid = Grid::Workgroups([map.width.div_ceil(8), map.height.div_ceil(32), 1]);
         recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! Weighted sum of maps.
+//! The definition, on planar maps.
 
 use crate::error::Result;
 use crate::graph::TensorId;
@@ -15,14 +15,14 @@ shader_params! {
 }
 
 static SHADER: Shader = Shader {
-    stem: "weighted_sum",
-    source: include_str!("../../wgsl/weighted_sum.wgsl"),
+    stem: "weighted_sum/planar",
+    source: include_str!("../../../wgsl/weighted_sum/planar.wgsl"),
     params: PARAMS,
 };
 
 /// The definition, on planar maps.
 #[derive(Debug)]
-pub(super) struct Planar;
+pub(in crate::kernels) struct Planar;
 
 impl Kernel for Planar {
     fn id(&self) -> &'static str {

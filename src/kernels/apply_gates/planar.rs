@@ -1,34 +1,31 @@
-//! Bilinear interpolation to another size.
+//! The definition, on planar maps.
 
 use crate::error::Result;
 use crate::graph::TensorId;
 use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
-use crate::ops::UpsampleBilinear;
+use crate::ops::ApplyGates;
 use crate::shader::{Shader, Variant, shader_params};
 
 shader_params! {
     struct Params {
         channels: u32,
-        in_height: u32,
-        in_width: u32,
-        out_height: u32,
-        out_width: u32,
+        area: u32,
     }
 }
 
 static SHADER: Shader = Shader {
-    stem: "upsample_bilinear",
-    source: include_str!("../../wgsl/upsample_bilinear.wgsl"),
+    stem: "apply_gates/planar",
+    source: include_str!("../../../wgsl/apply_gates/planar.wgsl"),
     params: PARAMS,
 };
 
 /// The definition, on planar maps.
 #[derive(Debug)]
-pub(super) struct Planar;
+pub(in crate::kernels) struct Planar;
 
 impl Kernel for Planar {
     fn id(&self) -> &'static str {
-        "upsample_bilinear/planar"
+        "apply_gates/planar"
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
@@ -42,17 +39,15 @@ impl Kernel for Planar {
         inputs: &[TensorId],
         outputs: &[TensorId],
     ) -> Result<()> {
-        let op: &UpsampleBilinear = work.op()?;
-        let [channels, in_height, in_width] =
-            [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
-        let params = Params {
-            channels,
-            in_height,
-            in_width,
-            out_height: op.out_height as u32,
-            out_width: op.out_width as u32,
-        };
-        let bindings = [("input", inputs[0]), ("output", outputs[0])];
+        let _op: &ApplyGates = work.op()?;
+        let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
+        let params = Params { channels, area: height * width };
+        let bindings = [
+            ("input", inputs[0]),
+            ("channel_gate", inputs[1]),
+            ("spatial_gate", inputs[2]),
+            ("output", outputs[0]),
+        ];
         let grid = Grid::linear(recording.info(outputs[0]).spec.shape.elements(), 64);
         recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())

@@ -1,4 +1,4 @@
-//! 2-D maximum pooling.
+//! The definition, on planar maps.
 
 use crate::error::Result;
 use crate::graph::TensorId;
@@ -20,14 +20,14 @@ shader_params! {
 }
 
 static SHADER: Shader = Shader {
-    stem: "max_pool2d",
-    source: include_str!("../../wgsl/max_pool2d.wgsl"),
+    stem: "max_pool2d/planar",
+    source: include_str!("../../../wgsl/max_pool2d/planar.wgsl"),
     params: PARAMS,
 };
 
 /// The definition, on planar maps.
 #[derive(Debug)]
-pub(super) struct Planar;
+pub(in crate::kernels) struct Planar;
 
 impl Kernel for Planar {
     fn id(&self) -> &'static str {

@@ -1,4 +1,4 @@
-//! Average pooling over all of space.
+//! The definition, on planar maps.
 
 use crate::error::Result;
 use crate::graph::TensorId;
@@ -16,14 +16,14 @@ shader_params! {
 }
 
 static SHADER: Shader = Shader {
-    stem: "global_avg_pool",
-    source: include_str!("../../wgsl/global_avg_pool.wgsl"),
+    stem: "global_avg_pool/planar",
+    source: include_str!("../../../wgsl/global_avg_pool/planar.wgsl"),
     params: PARAMS,
 };
 
 /// The definition, on planar maps.
 #[derive(Debug)]
-pub(super) struct Planar;
+pub(in crate::kernels) struct Planar;
 
 impl Kernel for Planar {
     fn id(&self) -> &'static str {

@@ -1,32 +1,34 @@
-//! CBAM's pooling over space.
+//! The definition, on planar maps.
 
 use crate::error::Result;
 use crate::graph::TensorId;
 use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
-use crate::ops::ChannelPool;
+use crate::ops::UpsampleBilinear;
 use crate::shader::{Shader, Variant, shader_params};
 
 shader_params! {
     struct Params {
         channels: u32,
-        area: u32,
-        zero: u32,
+        in_height: u32,
+        in_width: u32,
+        out_height: u32,
+        out_width: u32,
     }
 }
 
 static SHADER: Shader = Shader {
-    stem: "channel_pool",
-    source: include_str!("../../wgsl/channel_pool.wgsl"),
+    stem: "upsample_bilinear/planar",
+    source: include_str!("../../../wgsl/upsample_bilinear/planar.wgsl"),
     params: PARAMS,
 };
 
 /// The definition, on planar maps.
 #[derive(Debug)]
-pub(super) struct Planar;
+pub(in crate::kernels) struct Planar;
 
 impl Kernel for Planar {
     fn id(&self) -> &'static str {
-        "channel_pool/planar"
+        "upsample_bilinear/planar"
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
@@ -40,11 +42,18 @@ impl Kernel for Planar {
         inputs: &[TensorId],
         outputs: &[TensorId],
     ) -> Result<()> {
-        let _op: &ChannelPool = work.op()?;
-        let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
-        let params = Params { channels, area: height * width, zero: 0 };
+        let op: &UpsampleBilinear = work.op()?;
+        let [channels, in_height, in_width] =
+            [0, 1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
+        let params = Params {
+            channels,
+            in_height,
+            in_width,
+            out_height: op.out_height as u32,
+            out_width: op.out_width as u32,
+        };
         let bindings = [("input", inputs[0]), ("output", outputs[0])];
-        let grid = Grid::linear(channels as usize, 1);
+        let grid = Grid::linear(recording.info(outputs[0]).spec.shape.elements(), 64);
         recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }

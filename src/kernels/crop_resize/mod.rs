@@ -1,0 +1,7 @@
+//! A square crop of a picture, resized and normalised.
+
+mod planar;
+mod quads;
+
+pub(super) use planar::Planar;
+pub(super) use quads::Quads;

@@ -1,0 +1,73 @@
+//! The definition, on planar maps.
+
+use crate::error::Result;
+use crate::graph::TensorId;
+use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::ops::CropResize;
+use crate::shader::{Shader, Variant, shader_params};
+
+shader_params! {
+    struct Params {
+        size: u32,
+        capacity: u32,
+        shift_r: f32,
+        shift_g: f32,
+        shift_b: f32,
+        rest_r: f32,
+        rest_g: f32,
+        rest_b: f32,
+        std_r: f32,
+        std_g: f32,
+        std_b: f32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "crop_resize/planar",
+    source: include_str!("../../../wgsl/crop_resize/planar.wgsl"),
+    params: PARAMS,
+};
+
+/// The definition, on planar maps.
+#[derive(Debug)]
+pub(in crate::kernels) struct Planar;
+
+impl Kernel for Planar {
+    fn id(&self) -> &'static str {
+        "crop_resize/planar"
+    }
+
+    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
+        vec![(&SHADER, Variant::default())]
+    }
+
+    fn record(
+        &self,
+        work: &Work,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let op: &CropResize = work.op()?;
+        let [shift_r, shift_g, shift_b] = op.shift().map(|(shift, _)| f32::from(shift));
+        let [rest_r, rest_g, rest_b] = op.shift().map(|(_, rest)| rest as f32);
+        let [std_r, std_g, std_b] = op.std;
+        let params = Params {
+            size: op.size as u32,
+            capacity: recording.dims(inputs[0])[0] as u32,
+            shift_r,
+            shift_g,
+            shift_b,
+            rest_r,
+            rest_g,
+            rest_b,
+            std_r,
+            std_g,
+            std_b,
+        };
+        let bindings = [("picture", inputs[0]), ("crop", inputs[1]), ("output", outputs[0])];
+        let grid = Grid::linear(op.size * op.size, 64);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
+        Ok(())
+    }
+}

@@ -1,0 +1,7 @@
+//! 2-D maximum pooling.
+
+mod planar;
+mod quads;
+
+pub(super) use planar::Planar;
+pub(super) use quads::Quads;

@@ -1,0 +1,86 @@
+//! On maps of four channels a texel.
+
+use crate::error::Result;
+use crate::graph::TensorId;
+use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, layout};
+use crate::ops::MaxPool2d;
+use crate::shader::{Shader, Variant, shader_params};
+
+shader_params! {
+    struct Params {
+        input: layout::Quads,
+        output: layout::Quads,
+        kernel: u32,
+        stride: u32,
+        padding: u32,
+        channel_gate_stride: u32,
+        spatial_gate_stride: u32,
+        pad0: u32,
+        pad1: u32,
+        pad2: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "max_pool2d/quads",
+    source: include_str!("../../../wgsl/max_pool2d/quads.wgsl"),
+    params: PARAMS,
+};
+
+/// Each workgroup computes eight rows of eight channels.
+#[derive(Debug)]
+pub(in crate::kernels) struct Quads;
+
+impl Kernel for Quads {
+    fn id(&self) -> &'static str {
+        "max_pool2d/quads"
+    }
+
+    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
+        vec![(&SHADER, Variant::default())]
+    }
+
+    fn fits(&self, work: &Work) -> bool {
+        work.has_quads(&work.inputs[0]) && work.has_quads(&work.outputs[0])
+    }
+
+    fn reads(&self, _work: &Work, _index: usize) -> Layout {
+        Layout::Quads
+    }
+
+    fn writes(&self, _work: &Work) -> Layout {
+        Layout::Quads
+    }
+
+    fn batched(&self) -> bool {
+        true
+    }
+
+    fn record(
+        &self,
+        work: &Work,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let op: &MaxPool2d = work.op()?;
+        let (input, output) = (recording.quads(inputs[0])?, recording.quads(outputs[0])?);
+        let params = Params {
+            input,
+            output,
+            kernel: op.kernel as u32,
+            stride: op.stride as u32,
+            padding: op.padding as u32,
+            channel_gate_stride: 0,
+            spatial_gate_stride: 0,
+            pad0: 0,
+            pad1: 0,
+            pad2: 0,
+        };
+        let bindings = [("input", inputs[0]), ("output", outputs[0])];
+        let [down, quads] = [output.height.div_ceil(8), output.quads.div_ceil(2)];
+        let grid = Grid::Workgroups([down, quads, recording.batch()]);
+        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
+        Ok(())
+    }
+}

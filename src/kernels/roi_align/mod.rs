@@ -1,0 +1,7 @@
+//! RoIAlign: features of each box on a grid of fixed size.
+
+mod planar;
+mod quads;
+
+pub(super) use planar::Planar;
+pub(super) use quads::Quads;

@@ -1,0 +1,7 @@
+//! Weighted sum of maps.
+
+mod planar;
+mod quads;
+
+pub(super) use planar::Planar;
+pub(super) use quads::Quads;

@@ -1,0 +1,83 @@
+//! On maps of four channels a texel.
+
+use crate::error::Result;
+use crate::graph::TensorId;
+use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Recording, Work};
+use crate::ops::WeightedSum;
+use crate::ops::weighted_sum::MAPS;
+use crate::shader::{Shader, Variant, shader_params};
+
+shader_params! {
+    struct Params {
+        texels: u32,
+        weight_stride: u32,
+        invocations: u32,
+        pad0: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "weighted_sum/quads",
+    source: include_str!("../../../wgsl/weighted_sum/quads.wgsl"),
+    params: PARAMS,
+};
+
+/// Texels of an invocation.
+const TEXELS: u32 = 4;
+
+/// The shader for so many maps.
+fn variant(maps: usize) -> Variant {
+    let flags = ["MAP1", "MAP2", "MAP3", "MAP4"].into_iter().take(maps - 1);
+    Variant { flags: flags.collect(), ..Variant::default() }
+}
+
+/// Texel by texel, wherever they lie.
+#[derive(Debug)]
+pub(in crate::kernels) struct Quads;
+
+impl Kernel for Quads {
+    fn id(&self) -> &'static str {
+        "weighted_sum/quads"
+    }
+
+    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
+        (1..=MAPS.len()).map(|maps| (&SHADER, variant(maps))).collect()
+    }
+
+    fn fits(&self, work: &Work) -> bool {
+        work.has_quads(&work.outputs[0])
+    }
+
+    fn reads(&self, _work: &Work, index: usize) -> Layout {
+        if index == 0 { Layout::Planar } else { Layout::Quads }
+    }
+
+    fn writes(&self, _work: &Work) -> Layout {
+        Layout::Quads
+    }
+
+    fn batched(&self) -> bool {
+        true
+    }
+
+    fn record(
+        &self,
+        work: &Work,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let op: &WeightedSum = work.op()?;
+        let texels = (recording.quads(outputs[0])?.bytes() / 16) as u32;
+        let groups = texels.div_ceil(TEXELS * 64).min(MAX_WORKGROUPS);
+        let weight_stride = recording.stride(inputs[0]);
+        let params = Params { texels, weight_stride, invocations: groups * 64, pad0: 0 };
+        let maps = MAPS.into_iter().zip(inputs[1..].iter().copied());
+        let ends = [("weights", inputs[0]), ("output", outputs[0])];
+        let bindings: Vec<_> = ends.into_iter().chain(maps).collect();
+        let grid = Grid::Workgroups([groups, 1, recording.batch()]);
+        let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
+        recording.dispatch(dispatch.variant(variant(op.maps)));
+        Ok(())
+    }
+}

@@ -1,0 +1,160 @@
+//! Where the time goes: every dispatch of a network beside what the adapter can do.
+//!
+//! For people who tune kernels; it changes with them.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::error::{Error, Result};
+use crate::gpu::{Gpu, Profile, Program, ProgramOptions, Slot};
+use crate::graph::{Graph, TensorId};
+use crate::kernels::{Dispatch, Grid, Recording, Role};
+use crate::lower::{Choice, Lowered, Request, lower};
+use crate::shader::{Shader, shader_params};
+use crate::shape::TensorSpec;
+use crate::tensor::Value;
+
+/// One command of a program.
+#[derive(Clone, Debug)]
+pub struct CommandTime {
+    /// Stage of the network.
+    pub stage: String,
+    /// What the operation's first output is called.
+    pub tensor: String,
+    /// The shader with its entry point and variant, or `copy`.
+    pub what: String,
+    /// The shortest time of all runs.
+    pub time: Duration,
+    /// Bytes that the operation must read and write; 0 for all but the command that takes longest of
+    /// those of an operation.
+    pub bytes: u64,
+    /// Multiply-adds of the operation's definition, likewise.
+    pub multiply_adds: u64,
+}
+
+/// What an adapter does at best, measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Roof {
+    /// Multiply-adds a second of independent chains in registers.
+    pub multiply_adds: f64,
+    /// Bytes a second, read and written, of a copy from buffer to buffer by a shader.
+    pub bytes: f64,
+}
+
+/// Runs `graph` on `gpu` so many times with every command timed for itself.
+///
+/// # Errors
+/// [`Error::Device`] for an adapter without timestamps; what the device returns.
+pub fn commands(
+    gpu: &Arc<Gpu>,
+    graph: &Graph,
+    inputs: &[(TensorId, &Value)],
+    choice: &Choice,
+    runs: usize,
+) -> Result<Vec<CommandTime>> {
+    let request = Request { keep: &[], batch: 1, caps: gpu.caps(), choice };
+    let lowered = lower(graph, &request)?;
+    let names: Vec<(usize, String)> = lowered
+        .owners
+        .iter()
+        .map(|node| (*node, graph.name(graph.nodes()[*node].outputs[0]).into()))
+        .collect();
+    let mut slot = slot(gpu, &lowered)?;
+    let mut best: Vec<Duration> = Vec::new();
+    let mut what = Vec::new();
+    for _ in 0..runs.max(1) {
+        let times = slot.run(inputs)?.stages;
+        if times.is_empty() {
+            let message = "it has no timestamps, by which commands are timed".into();
+            return Err(Error::Device { adapter: gpu.info().name.clone(), message });
+        }
+        best.resize(times.len(), Duration::MAX);
+        best.iter_mut().zip(&times).for_each(|(best, time)| *best = (*best).min(time.time));
+        what = times.into_iter().map(|time| time.stage).collect();
+    }
+    let longest = |node: usize| {
+        let own = names.iter().enumerate().filter(|(_, (n, _))| *n == node).map(|(at, _)| at);
+        own.max_by_key(|at| best[*at])
+    };
+    let mut found = Vec::new();
+    for (at, ((node, tensor), what)) in names.iter().zip(what).enumerate() {
+        let spec = |ids: &[TensorId]| -> Vec<TensorSpec> {
+            ids.iter().map(|id| graph.spec(*id).clone()).collect()
+        };
+        let own = &graph.nodes()[*node];
+        let (read, wrote) = (spec(&own.inputs), spec(&own.outputs));
+        let (mut bytes, mut multiply_adds) = (0, 0);
+        if longest(*node) == Some(at) {
+            bytes = read.iter().chain(&wrote).map(TensorSpec::bytes).sum();
+            multiply_adds = own.op.multiply_adds(&read, &wrote);
+        }
+        let stage = graph.stages()[own.stage].clone();
+        let (tensor, time) = (tensor.clone(), best[at]);
+        found.push(CommandTime { stage, tensor, what, time, bytes, multiply_adds });
+    }
+    Ok(found)
+}
+
+fn slot(gpu: &Arc<Gpu>, lowered: &Lowered) -> Result<Slot> {
+    let options = ProgramOptions { profile: Profile::Commands, ..ProgramOptions::default() };
+    pollster::block_on(async {
+        let program = Program::new(gpu, lowered, None, options).await?;
+        Slot::new(&Arc::new(program)).await
+    })
+}
+
+shader_params! {
+    struct Params {
+        rounds: u32,
+        factor: f32,
+        texels: u32,
+        pad: u32,
+    }
+}
+
+static SHADER: Shader =
+    Shader { stem: "roof", source: include_str!("../wgsl/roof.wgsl"), params: PARAMS };
+
+/// Invocations that multiply, in workgroups of 64.
+const INVOCATIONS: u32 = 1 << 14;
+/// Multiply-adds of an invocation's round, as `wgsl/roof.wgsl` has them.
+const CHAINS: u32 = 16;
+const ROUNDS: u32 = 4096;
+/// Texels of 16 bytes that are copied: more than a cache holds.
+const TEXELS: u32 = 4 << 20;
+
+/// Measures an adapter: the best of so many runs.
+///
+/// # Errors
+/// As [`commands`].
+pub fn roof(gpu: &Arc<Gpu>, runs: usize) -> Result<Roof> {
+    let mut recording = Recording::new(1, gpu.caps().clone());
+    recording.begin_stage("roof");
+    let sums = recording.tensor("sums", TensorSpec::f32([INVOCATIONS as usize]), Role::Transient);
+    let texels = TensorSpec::f32([TEXELS as usize, 4]);
+    let from = recording.tensor("from", texels.clone(), Role::Transient);
+    let to = recording.tensor("to", texels, Role::Transient);
+    let params = Params { rounds: ROUNDS, factor: 0.999, texels: TEXELS, pad: 0 };
+    let chains = Grid::Workgroups([INVOCATIONS / 64, 1, 1]);
+    let sums = [("sums", sums)];
+    recording.dispatch(Dispatch::new(&SHADER, "multiply_add", &params, &sums, chains));
+    let copy = [("from", from), ("to", to)];
+    let grid = Grid::linear(TEXELS as usize, 64);
+    recording.dispatch(Dispatch::new(&SHADER, "copy", &params, &copy, grid));
+    let lowered =
+        Lowered { recording, places: Default::default(), kernels: Vec::new(), owners: Vec::new() };
+    let mut slot = slot(gpu, &lowered)?;
+    let mut best = [f64::INFINITY; 2];
+    for _ in 0..runs.max(1) {
+        let times = slot.run(&[])?.stages;
+        if times.len() != 2 {
+            let message = "it has no timestamps, by which it is measured".into();
+            return Err(Error::Device { adapter: gpu.info().name.clone(), message });
+        }
+        for (best, time) in best.iter_mut().zip(times) {
+            *best = best.min(time.time.as_secs_f64());
+        }
+    }
+    let multiply_adds = f64::from(INVOCATIONS) * f64::from(ROUNDS) * f64::from(CHAINS);
+    Ok(Roof { multiply_adds: multiply_adds / best[0], bytes: f64::from(TEXELS) * 32.0 / best[1] })
+}

@@ -1,0 +1,25 @@
+//! Every shader in every variant, for adapters of all kinds.
+
+use smr_gpu::kernels::{self, Caps};
+use smr_gpu::shader::{Shader, Variant};
+
+/// Sizes of a subgroup; `None` for an adapter that has none, or none of one size.
+const SUBGROUPS: [Option<u32>; 6] = [None, Some(4), Some(8), Some(16), Some(32), Some(64)];
+
+pub fn all() -> Vec<(&'static Shader, Variant)> {
+    let mut found: Vec<(&'static Shader, Variant)> = Vec::new();
+    for subgroup in SUBGROUPS {
+        for (shader, variant) in kernels::shaders(&Caps { subgroup, ..Caps::default() }) {
+            if !found.iter().any(|(s, v)| s.stem == shader.stem && *v == variant) {
+                found.push((shader, variant));
+            }
+        }
+    }
+    found
+}
+
+/// Whether a text, without its comments, does anything by subgroup.
+pub fn uses_subgroups(text: &str) -> bool {
+    let code = |line: &str| line.split("//").next().is_some_and(|code| code.contains("subgroup"));
+    text.lines().any(code)
+}

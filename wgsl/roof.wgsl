@@ -1,0 +1,50 @@
+// What an adapter does at best: multiply-adds in registers, and copies.
+
+// include: index
+
+struct Params {
+    rounds: u32,
+    factor: f32,
+    texels: u32,
+    pad: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read_write> sums: array<f32>;
+@group(0) @binding(2) var<storage, read> from: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read_write> to: array<vec4<f32>>;
+
+// Sixteen chains that do not wait for each other.
+@compute @workgroup_size(64)
+fn multiply_add(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let at = workgroup.x * 64u + local;
+    let start = f32(local);
+    var a = vec4<f32>(start, start + 1.0, start + 2.0, start + 3.0);
+    var b = a + 4.0;
+    var c = a + 8.0;
+    var d = a + 12.0;
+    let factor = params.factor;
+    for (var round = 0u; round < params.rounds; round++) {
+        a = a * factor + b;
+        b = b * factor + c;
+        c = c * factor + d;
+        d = d * factor + 1.0;
+    }
+    let sum = a + b + c + d;
+    sums[at] = sum.x + sum.y + sum.z + sum.w;
+}
+
+@compute @workgroup_size(64)
+fn copy(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let index = linear_index(workgroup, workgroups, local, 64u);
+    if index < params.texels {
+        to[index] = from[index];
+    }
+}

@@ -1,13 +1,11 @@
 // A fully connected layer with bias and optional ReLU, over the rows in use.
 //
-// `partial`: with SUBGROUPS, lanes are outputs. One invocation computes four outputs, LANES apart, of
-// sixteen rows: it reads its own weights, a lane reads a row's inputs and spreads them to all. Without,
-// four outputs of eight rows, and all invocations read the same inputs. Slices of the inputs give the
-// device enough to do at few rows, and shorter sums are more accurate. `finish` adds the slices and
-// the bias.
+// `partial`: lanes are outputs. One invocation computes four outputs, LANES apart, of sixteen rows: it
+// reads its own weights; each lane reads a row's inputs and spreads them to all. Slices of the inputs
+// give the device enough to do at few rows, and shorter sums are more accurate. `finish` adds the
+// slices and the bias.
 //
-// Constants: LANES invocations, which with SUBGROUPS are a subgroup. With ALIGNED a row is a whole
-// number of vec4.
+// Constants: LANES of a subgroup, which is a workgroup. With ALIGNED, a row is a whole number of vec4.
 
 struct Params {
     rows: u32,
@@ -67,42 +65,26 @@ fn columns(rows: Four) -> mat4x4<f32> {
 struct Sums {
     a: mat4x4<f32>,
     b: mat4x4<f32>,
-#if SUBGROUPS
     c: mat4x4<f32>,
     d: mat4x4<f32>,
-#endif
 }
 
-#if SUBGROUPS
 const ROWS: u32 = 16u;
-#else
-const ROWS: u32 = 8u;
-
-fn four_rows(first: u32, last: u32, quad: u32) -> Four {
-    return Four(
-        load(min(first, last), quad),
-        load(min(first + 1u, last), quad),
-        load(min(first + 2u, last), quad),
-        load(min(first + 3u, last), quad),
-    );
-}
-#endif
 
 @compute @workgroup_size(LANES)
 fn partial(
     @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
-#if SUBGROUPS
     @builtin(subgroup_invocation_id) lane: u32,
-#endif
 ) {
     let rows = min(count[0], params.rows);
-    let first_row = workgroup.x * ROWS;
+    let first_row = linear_index(workgroup, workgroups, 0u, 1u) * ROWS;
     if first_row >= rows {
         return;
     }
-    let tile = workgroup.y;
-    let slice = workgroup.z;
+    let tile = workgroup.z / params.slices;
+    let slice = workgroup.z % params.slices;
     let tile_width = 4u * LANES;
     let last_row = rows - 1u;
     let last_quad = (params.inner - 1u) / 4u;
@@ -122,7 +104,6 @@ fn partial(
         );
         at.x += tile_width;
         at = select(at, vec2<u32>(local, at.y + 1u), at.x == wrap);
-#if SUBGROUPS
 #if FOUR_LANES
         let row = first_row + lane % 4u;
         let a = first(load(min(row, last_row), quad));
@@ -150,24 +131,14 @@ fn partial(
         sums.b = add_products(sums.b, w, columns(b));
         sums.c = add_products(sums.c, w, columns(c));
         sums.d = add_products(sums.d, w, columns(d));
-#else
-        sums.a = add_products(sums.a, w, columns(four_rows(first_row, last_row, quad)));
-        sums.b = add_products(sums.b, w, columns(four_rows(first_row + 4u, last_row, quad)));
-#endif
     }
     // By output, then row.
-#if SUBGROUPS
     var results = array<vec4<f32>, 16>(
         sums.a[0], sums.b[0], sums.c[0], sums.d[0],
         sums.a[1], sums.b[1], sums.c[1], sums.d[1],
         sums.a[2], sums.b[2], sums.c[2], sums.d[2],
         sums.a[3], sums.b[3], sums.c[3], sums.d[3],
     );
-#else
-    var results = array<vec4<f32>, 8>(
-        sums.a[0], sums.b[0], sums.a[1], sums.b[1], sums.a[2], sums.b[2], sums.a[3], sums.b[3],
-    );
-#endif
     // Bounds that compilers do not see: unrolled, the stores would take long to compile.
     let used = min(ROWS, rows - first_row);
     let row_width = params.tiles * tile_width;

@@ -181,7 +181,7 @@ static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
     ("gather_rows", &[&gather_rows::Planar]),
     ("global_avg_pool", &[&global_avg_pool::Quads, &global_avg_pool::Planar]),
     ("indirect_grid", &[&indirect_grid::Planar]),
-    ("linear", &[&linear::Planar]),
+    ("linear", &[&linear::Gemm, &linear::Planar]),
     ("max_pool2d", &[&max_pool2d::Quads, &max_pool2d::Planar]),
     ("nms", &[&nms::Planar]),
     ("roi_align", &[&roi_align::Quads, &roi_align::Planar]),

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::error::{Error, Result};
-use crate::gpu::{AdapterChoice, GpuOptions};
+use crate::gpu::{AdapterChoice, Faults, GpuOptions};
 use crate::lower::Choice;
 use crate::model::{ModelConfig, Thresholds};
 
@@ -117,6 +117,9 @@ pub struct Config {
     pub checked: bool,
     /// Keep every stage's tensor, for [`GpuDetector::detect_with_stages`]; takes more memory.
     pub keep_stages: bool,
+    /// For tests: calls to the device that fail.
+    #[doc(hidden)]
+    pub faults: Option<Faults>,
 }
 
 impl Config {
@@ -146,6 +149,7 @@ impl Config {
             choices: None,
             checked: false,
             keep_stages: false,
+            faults: None,
         }
     }
 

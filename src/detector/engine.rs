@@ -147,6 +147,7 @@ async fn open(config: &Config) -> Result<Option<Arc<Gpu>>> {
         adapter,
         timeout: config.timeout,
         checked: config.checked,
+        faults: config.faults.clone(),
     };
     match &config.device {
         Device::Cpu | Device::Reference => Ok(None),

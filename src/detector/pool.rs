@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, Waker};
 
 use crate::error::Result;
-use crate::gpu::{Deadline, Program, Slot};
+use crate::gpu::{Alarm, Deadline, Program, Slot};
 
 /// Slots of one program, handed out one at a time.
 pub(super) struct Pool {
@@ -17,9 +17,9 @@ pub(super) struct Pool {
 
 #[derive(Default)]
 struct State {
-    free: Vec<Slot>,
+    free: Vec<Box<Slot>>,
     /// Slots whose run nobody waits for any more, but the device is not done with.
-    late: Vec<Slot>,
+    late: Vec<Box<Slot>>,
     /// Slots that there are, in use or not.
     count: usize,
     waiting: Vec<Waker>,
@@ -27,7 +27,7 @@ struct State {
 
 /// What a caller gets.
 enum Turn {
-    Slot(Slot),
+    Slot(Box<Slot>),
     /// There may be one more.
     Make,
 }
@@ -35,13 +35,14 @@ enum Turn {
 /// A slot for one picture; it goes back when it is dropped.
 pub(super) struct Lease<'a> {
     pool: &'a Pool,
-    slot: Option<Slot>,
+    /// `None` until it is made.
+    slot: Option<Box<Slot>>,
 }
 
 impl Pool {
     /// A pool of at most `most` slots, of which one is made now.
     pub async fn new(program: Arc<Program>, most: usize) -> Result<Self> {
-        let slot = Slot::new(&program).await?;
+        let slot = Box::new(Slot::new(&program).await?);
         let state = State { free: vec![slot], count: 1, ..State::default() };
         Ok(Self { program, most: most.max(1), state: Mutex::new(state) })
     }
@@ -60,24 +61,29 @@ impl Pool {
     /// # Errors
     /// [`crate::Error::Timeout`] past the deadline; what making a slot returns.
     pub async fn take(&self, deadline: Deadline) -> Result<Lease<'_>> {
-        let turn = poll_fn(|context| self.poll_turn(context, deadline)).await?;
+        let mut alarm = None;
+        let turn = poll_fn(|context| self.poll_turn(context, deadline, &mut alarm)).await?;
+        drop(alarm);
         let mut lease = Lease { pool: self, slot: None };
         lease.slot = Some(match turn {
             Turn::Slot(slot) => slot,
-            Turn::Make => {
-                Slot::new(&self.program).await.inspect_err(|_| self.state().count -= 1)?
-            }
+            Turn::Make => Box::new(Slot::new(&self.program).await?),
         });
         lease.recover(deadline).await?;
         Ok(lease)
     }
 
-    fn poll_turn(&self, context: &mut Context, deadline: Deadline) -> Poll<Result<Turn>> {
+    fn poll_turn(
+        &self,
+        context: &mut Context,
+        deadline: Deadline,
+        alarm: &mut Option<Alarm>,
+    ) -> Poll<Result<Turn>> {
         let mut state = self.state();
         if let Some(slot) = state.free.pop() {
             return Poll::Ready(Ok(Turn::Slot(slot)));
         }
-        if let Some(at) = state.late.iter().position(Slot::is_free) {
+        if let Some(at) = state.late.iter().position(|slot| slot.is_free()) {
             return Poll::Ready(Ok(Turn::Slot(state.late.swap_remove(at))));
         }
         if state.count < self.most {
@@ -94,7 +100,7 @@ impl Pool {
         state.late.iter().for_each(|slot| slot.wake_when_free(context.waker()));
         state.waiting.push(context.waker().clone());
         drop(state);
-        deadline.wake(self.program.gpu(), context.waker());
+        *alarm = deadline.wake(self.program.gpu(), context.waker());
         Poll::Pending
     }
 }
@@ -121,11 +127,12 @@ impl DerefMut for Lease<'_> {
 
 impl Drop for Lease<'_> {
     fn drop(&mut self) {
-        let Some(slot) = self.slot.take() else { return };
         let mut state = self.pool.state();
-        match slot.is_free() {
-            true => state.free.push(slot),
-            false => state.late.push(slot),
+        match self.slot.take() {
+            // It could not be made.
+            None => state.count -= 1,
+            Some(slot) if slot.is_free() => state.free.push(slot),
+            Some(slot) => state.late.push(slot),
         }
         let waiting = std::mem::take(&mut state.waiting);
         drop(state);

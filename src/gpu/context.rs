@@ -6,7 +6,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use crate::error::{Error, Result};
-use crate::gpu::native::{Clock, Poller};
+use crate::gpu::faults::{Call, Fault, Faults};
+use crate::gpu::native::{self, Clock, Loss, Poller};
 use crate::gpu::program::Resource;
 use crate::kernels::{Caps, Command, Dispatch, Recording, Storage};
 use crate::shader::{self, BindingKind, Variant};
@@ -47,11 +48,19 @@ pub struct GpuOptions {
     /// with sentinels behind every buffer hold them to it, so this is off by default: it costs up
     /// to 1.7 times the run time on a software adapter.
     pub checked: bool,
+    /// For tests: calls to the device that fail.
+    #[doc(hidden)]
+    pub faults: Option<Faults>,
 }
 
 impl Default for GpuOptions {
     fn default() -> Self {
-        Self { adapter: AdapterChoice::Auto, timeout: Duration::from_secs(120), checked: false }
+        Self {
+            adapter: AdapterChoice::Auto,
+            timeout: Duration::from_secs(120),
+            checked: false,
+            faults: None,
+        }
     }
 }
 
@@ -94,9 +103,7 @@ pub struct Gpu {
     info: wgpu::AdapterInfo,
     caps: Caps,
     options: GpuOptions,
-    lost: Arc<Mutex<Option<String>>>,
-    /// An error that no scope caught; without a handler it would end the process.
-    uncaptured: Arc<Mutex<Option<String>>>,
+    loss: Loss,
     /// Bytes that wait to be uploaded.
     uploads: Mutex<u64>,
     pub(super) poller: Poller,
@@ -247,26 +254,27 @@ impl Gpu {
         };
         let (device, queue) =
             adapter.request_device(&descriptor).await.map_err(|e| refused(e.to_string()))?;
-        let lost = Arc::new(Mutex::new(None));
-        let latch = lost.clone();
+        let loss = Loss::default();
+        let told = loss.clone();
         device.set_device_lost_callback(move |reason, message| {
-            let mut latch = latch.lock().unwrap_or_else(PoisonError::into_inner);
-            latch.get_or_insert(format!("{reason:?}: {message}"));
+            told.tell(format!("{reason:?}: {message}"));
         });
-        let uncaptured = Arc::new(Mutex::new(None));
-        let latch = uncaptured.clone();
+        // Every call of this crate is within a scope, so an error that none caught is no run's and
+        // fails none; without a handler it would end the process.
+        let faults = options.faults.clone();
         device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| {
-            latch.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(e.to_string());
+            if let Some(faults) = &faults {
+                faults.stray(e.to_string());
+            }
         }));
-        let poller = Poller::new(&device);
+        let poller = Poller::new(&device, &loss);
         Ok(Arc::new(Self {
             caps: caps(&info, device.features(), &device.limits()),
             device,
             queue,
             info,
             options,
-            lost,
-            uncaptured,
+            loss,
             uploads: Mutex::default(),
             poller,
             clock: Clock::default(),
@@ -280,15 +288,14 @@ impl Gpu {
     /// shader would change, and for trying out a shader. Nothing vouches for that text, so this
     /// device compiles every shader with bounds checks, whatever its options say.
     pub fn with_replacement(&self, replacement: shader::Replacement) -> Arc<Self> {
-        let poller = Poller::new(&self.device);
+        let poller = Poller::new(&self.device, &self.loss);
         Arc::new(Self {
             device: self.device.clone(),
             queue: self.queue.clone(),
             info: self.info.clone(),
             caps: self.caps.clone(),
             options: GpuOptions { checked: true, ..self.options.clone() },
-            lost: self.lost.clone(),
-            uncaptured: self.uncaptured.clone(),
+            loss: self.loss.clone(),
             uploads: Mutex::default(),
             poller,
             clock: Clock::default(),
@@ -324,17 +331,55 @@ impl Gpu {
         self.device.destroy();
     }
 
+    /// What a test wants of this call.
+    pub(super) fn fault(&self, call: Call) -> Option<Fault> {
+        let fault = self.options.faults.as_ref()?.next(call);
+        if fault == Some(Fault::Lost) {
+            self.device.destroy();
+        }
+        fault
+    }
+
     /// # Errors
-    /// [`Error::DeviceLost`] once the driver has reported the loss; [`Error::Driver`], once, for an
-    /// error that no scope caught.
+    /// [`Error::DeviceLost`] once the driver has reported the loss.
     pub(super) fn check_lost(&self) -> Result<()> {
-        if let Some(message) = &*self.lost.lock().unwrap_or_else(PoisonError::into_inner) {
-            return Err(Error::DeviceLost(message.clone()));
+        self.loss.get().map_or(Ok(()), |message| Err(Error::DeviceLost(message)))
+    }
+
+    /// Asks whether the device still is. It reports its loss when all work is done that it had, and
+    /// until then takes every call and does nothing: so this makes a buffer and looks whether there is
+    /// one.
+    ///
+    /// # Errors
+    /// [`Error::DeviceLost`] if it is gone.
+    pub(super) fn check_alive(&self) -> Result<()> {
+        // It has the driver's own words, if there are any.
+        let _ = native::poll(&self.device, wgpu::PollType::Poll, &self.loss);
+        self.check_lost()?;
+        let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: None,
+            size: 4,
+            usage: wgpu::BufferUsages::MAP_WRITE | wgpu::BufferUsages::COPY_SRC,
+            mapped_at_creation: true,
+        });
+        let is_there = buffer.slice(..).get_mapped_range().is_ok();
+        let is_full = pollster::block_on({
+            drop(validation.pop());
+            memory.pop()
+        });
+        if !is_there && is_full.is_none() {
+            self.loss.tell("it takes no more calls".into());
         }
-        match self.uncaptured.lock().unwrap_or_else(PoisonError::into_inner).take() {
-            Some(message) => Err(Error::Driver { stage: "the device".into(), message }),
-            None => Ok(()),
-        }
+        self.check_lost()
+    }
+
+    /// Does `work`, whose errors are told elsewhere.
+    pub(super) fn unheard(&self, work: impl FnOnce()) {
+        let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
+        work();
+        drop(validation.pop());
     }
 
     /// Runs `work` and returns what the driver objected to, under the name `stage`.
@@ -350,22 +395,50 @@ impl Gpu {
         // All three leave the stack before the first wait: the guards are not `Send`.
         let pops = (validation.pop(), internal.pop(), memory.pop());
         let errors = [pops.0.await, pops.1.await, pops.2.await];
-        if errors.iter().any(Option::is_some) {
-            // A lost device says so in the next poll; until then it only objects.
-            let _ = self.device.poll(wgpu::PollType::Poll);
+        let told = errors.into_iter().flatten().map(|e| e.to_string()).next();
+        let told = told.or_else(|| self.options.faults.as_ref()?.take());
+        if told.is_some() {
+            // What a lost device was given is no good for what follows.
+            self.check_alive()?;
         }
         self.check_lost()?;
-        match errors.into_iter().flatten().next() {
-            Some(e) => Err(Error::Driver { stage: stage.into(), message: e.to_string() }),
+        match told {
+            Some(message) => Err(Error::Driver { stage: stage.into(), message }),
             None => result,
         }
+    }
+
+    /// Makes a buffer.
+    pub(super) fn create_buffer(&self, mut desc: wgpu::BufferDescriptor) -> wgpu::Buffer {
+        if self.fault(Call::Buffer) == Some(Fault::Invalid) {
+            desc.usage = wgpu::BufferUsages::empty();
+        }
+        self.device.create_buffer(&desc)
+    }
+
+    /// Writes to a buffer before the next submission.
+    pub(super) fn write(&self, buffer: &wgpu::Buffer, mut offset: u64, bytes: &[u8]) {
+        if self.fault(Call::Write) == Some(Fault::Invalid) {
+            offset = buffer.size();
+        }
+        self.queue.write_buffer(buffer, offset, bytes);
+    }
+
+    /// Submits commands, or only what was written.
+    pub(super) fn submit(&self, commands: Option<wgpu::CommandBuffer>) -> wgpu::SubmissionIndex {
+        let invalid = (self.fault(Call::Submit) == Some(Fault::Invalid)).then(|| {
+            let mut encoder = self.device.create_command_encoder(&Default::default());
+            encoder.push_debug_group("never popped");
+            encoder.finish()
+        });
+        self.queue.submit(commands.into_iter().chain(invalid))
     }
 
     /// Creates what holds a tensor. Behind a buffer lie `guard` bytes more.
     pub(super) fn create(&self, storage: Storage, guard: u64) -> Resource {
         match storage {
             Storage::Buffer { bytes } => {
-                Resource::Buffer(self.device.create_buffer(&wgpu::BufferDescriptor {
+                Resource::Buffer(self.create_buffer(wgpu::BufferDescriptor {
                     label: None,
                     size: bytes.next_multiple_of(4) + guard,
                     usage: wgpu::BufferUsages::STORAGE
@@ -375,7 +448,10 @@ impl Gpu {
                     mapped_at_creation: false,
                 }))
             }
-            Storage::Texture { width, height } => {
+            Storage::Texture { mut width, height } => {
+                if self.fault(Call::Texture) == Some(Fault::Invalid) {
+                    width = 0;
+                }
                 let texture = self.device.create_texture(&wgpu::TextureDescriptor {
                     label: None,
                     size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
@@ -394,6 +470,8 @@ impl Gpu {
 
     /// Fills a texture of rgba32float.
     pub(super) fn write_texture(&self, texture: &wgpu::Texture, bytes: &[u8]) {
+        let refused = self.fault(Call::Write) == Some(Fault::Invalid);
+        let bytes = if refused { &[] } else { bytes };
         let layout = wgpu::TexelCopyBufferLayout {
             offset: 0,
             bytes_per_row: Some(texture.width() * 16),
@@ -409,13 +487,13 @@ impl Gpu {
         *waiting += bytes;
         if *waiting > UPLOAD_BYTES {
             *waiting = 0;
-            let submission = self.queue.submit([]);
+            let submission = self.submit(None);
             let wait = wgpu::PollType::Wait {
                 submission_index: Some(submission),
                 timeout: Some(self.options.timeout),
             };
             // A device that is lost or late says so when the program first runs.
-            let _ = self.device.poll(wait);
+            let _ = native::poll(&self.device, wait, &self.loss);
         }
     }
 
@@ -470,11 +548,9 @@ impl Gpu {
             }
             Ok(())
         };
-        // What the driver objects to is told to the thread that asked.
-        let compile = || pollster::block_on(self.scoped("compiling shaders", compile));
         std::thread::scope(|scope| {
             let cores = std::thread::available_parallelism().map_or(1, usize::from);
-            let threads: Vec<_> = (0..cores).map(|_| scope.spawn(compile)).collect();
+            let threads: Vec<_> = (0..cores).map(|_| scope.spawn(&compile)).collect();
             let result = meanwhile();
             for thread in threads {
                 match thread.join() {
@@ -496,6 +572,21 @@ impl Gpu {
         if let Some(pipeline) = known(&key) {
             return Ok(pipeline);
         }
+        let label = format!("{}::{} {}", shader.stem, dispatch.entry, dispatch.variant);
+        let label = label.trim_end();
+        // What the driver objects to is told to the thread that asked, and kept for nobody.
+        let build = || self.build_pipeline(dispatch, label);
+        let built = pollster::block_on(self.scoped(&format!("compiling {label}"), build));
+        let pipeline = built.inspect_err(|_| {
+            let key = (shader.stem, dispatch.variant.clone());
+            self.modules.lock().unwrap_or_else(PoisonError::into_inner).remove(&key);
+        })?;
+        let mut pipelines = self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
+        Ok(pipelines.entry(key).or_insert(Arc::new(pipeline)).clone())
+    }
+
+    fn build_pipeline(&self, dispatch: &Dispatch, label: &str) -> Result<Pipeline> {
+        let shader = dispatch.shader;
         let module = self.module(shader, &dispatch.variant)?;
         let entry = module.reflection.entries.iter().find(|e| e.name == dispatch.entry);
         let entry = entry.ok_or_else(|| Error::Shader {
@@ -531,21 +622,21 @@ impl Gpu {
                 count: None,
             })
             .collect();
-        let label = format!("{}::{} {}", shader.stem, dispatch.entry, dispatch.variant);
         let layout = self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some(&label),
+            label: Some(label),
             entries: &layout_entries,
         });
         let pipeline_layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some(&label),
+            label: Some(label),
             bind_group_layouts: &[Some(&layout)],
             immediate_size: 0,
         });
+        let refused = self.fault(Call::Pipeline) == Some(Fault::Invalid);
         let pipeline = self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some(&label),
+            label: Some(label),
             layout: Some(&pipeline_layout),
             module: &module.module,
-            entry_point: Some(dispatch.entry),
+            entry_point: Some(if refused { "none" } else { dispatch.entry }),
             compilation_options: wgpu::PipelineCompilationOptions {
                 // Every shader writes its workgroup memory before it reads it.
                 zero_initialize_workgroup_memory: false,
@@ -554,16 +645,7 @@ impl Gpu {
             cache: None,
         });
         let bindings = entry.bindings.clone();
-        let label = label.trim_end().to_owned();
-        let pipeline = Arc::new(Pipeline { label, pipeline, layout, bindings });
-        let mut pipelines = self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
-        Ok(pipelines.entry(key).or_insert(pipeline).clone())
-    }
-
-    /// Forgets every compiled shader: one that the driver refused must not serve the next plan.
-    pub(super) fn forget_pipelines(&self) {
-        self.pipelines.lock().unwrap_or_else(PoisonError::into_inner).clear();
-        self.modules.lock().unwrap_or_else(PoisonError::into_inner).clear();
+        Ok(Pipeline { label: label.to_owned(), pipeline, layout, bindings })
     }
 }
 
@@ -573,7 +655,7 @@ impl Drop for Gpu {
     fn drop(&mut self) {
         let timeout = self.timeout().max(LAST_WAIT);
         let wait = wgpu::PollType::Wait { submission_index: None, timeout: Some(timeout) };
-        if let Err(wgpu::PollError::Timeout) = self.device.poll(wait) {
+        if let Err(wgpu::PollError::Timeout) = native::poll(&self.device, wait, &self.loss) {
             // To drop the queue would wait without a limit: a device that hangs keeps its own.
             std::mem::forget((self.device.clone(), self.queue.clone()));
         }

@@ -7,6 +7,8 @@ use std::time::{Duration, Instant};
 
 use crate::error::{Error, Result};
 use crate::gpu::context::Gpu;
+use crate::gpu::faults::{Call, Fault};
+use crate::gpu::native::Alarm;
 
 /// Until when a caller waits, and what it asked for.
 #[derive(Clone, Copy, Debug)]
@@ -32,16 +34,14 @@ impl Deadline {
         Error::Timeout { stage: stage.into(), seconds: self.limit.as_secs_f64() }
     }
 
-    /// Wakes a future when the time is up.
-    pub(crate) fn wake(&self, gpu: &Gpu, waker: &Waker) {
-        if let Some(at) = self.at {
-            gpu.clock.wake_at(at, waker.clone());
-        }
+    /// Wakes a future when the time is up, unless the alarm is dropped before.
+    pub(crate) fn wake(&self, gpu: &Gpu, waker: &Waker) -> Option<Alarm> {
+        Some(gpu.clock.wake_at(self.at?, waker.clone()))
     }
 }
 
-/// A staging buffer that the host asked for.
-#[derive(Debug)]
+/// A staging buffer that the host asked for. Clones are one and the same.
+#[derive(Clone, Debug)]
 pub(super) struct Landing {
     state: Arc<Mutex<State>>,
     pub start: Instant,
@@ -51,7 +51,7 @@ pub(super) struct Landing {
 struct State {
     /// What the driver said, once it did.
     result: Option<Result<(), String>>,
-    waker: Option<Waker>,
+    wakers: Vec<Waker>,
 }
 
 fn lock(state: &Mutex<State>) -> MutexGuard<'_, State> {
@@ -68,16 +68,37 @@ impl Landing {
         start: Instant,
     ) -> Self {
         let state = Arc::new(Mutex::new(State::default()));
-        let told = state.clone();
+        let landing = Self { state, start };
+        let told = landing.clone();
+        let fault = gpu.fault(Call::Map);
+        if let Some(Fault::Refused | Fault::Invalid) = fault {
+            // A buffer is not mapped twice.
+            staging.slice(..bytes).map_async(wgpu::MapMode::Read, |_| ());
+        }
         staging.slice(..bytes).map_async(wgpu::MapMode::Read, move |result| {
-            let mut state = lock(&told);
-            state.result = Some(result.map_err(|e| e.to_string()));
-            if let Some(waker) = state.waker.take() {
-                waker.wake();
+            let result = result.map_err(|e| e.to_string());
+            match fault {
+                Some(Fault::Late(by)) => drop(std::thread::spawn(move || {
+                    std::thread::sleep(by);
+                    told.tell(result);
+                })),
+                _ => told.tell(result),
             }
         });
-        gpu.poller.follow(submission);
-        Self { state, start }
+        if let Some(Fault::Aborted) = fault {
+            staging.unmap();
+        }
+        gpu.poller.follow(submission, landing.clone());
+        landing
+    }
+
+    /// Says what became of it; the first to say so is believed.
+    pub fn tell(&self, result: Result<(), String>) {
+        let mut state = lock(&self.state);
+        state.result.get_or_insert(result);
+        let wakers = std::mem::take(&mut state.wakers);
+        drop(state);
+        wakers.into_iter().for_each(Waker::wake);
     }
 
     /// Wakes `waker` when it is.
@@ -85,7 +106,7 @@ impl Landing {
         let mut state = lock(&self.state);
         match state.result {
             Some(_) => waker.wake_by_ref(),
-            None => state.waker = Some(waker.clone()),
+            None => state.wakers.push(waker.clone()),
         }
     }
 
@@ -100,6 +121,7 @@ impl Landing {
     /// [`Error::DeviceLost`], [`Error::Timeout`] past the deadline, or [`Error::Driver`] if the map is
     /// refused.
     pub async fn wait(&self, gpu: &Gpu, deadline: Deadline, stage: &str) -> Result<()> {
+        let mut alarm = None;
         let told = poll_fn(|context| {
             let mut state = lock(&self.state);
             if let Some(result) = &state.result {
@@ -108,17 +130,17 @@ impl Landing {
             if deadline.is_over() {
                 return Poll::Ready(None);
             }
-            state.waker = Some(context.waker().clone());
+            state.wakers.push(context.waker().clone());
             drop(state);
-            deadline.wake(gpu, context.waker());
+            alarm = deadline.wake(gpu, context.waker());
             Poll::Pending
         })
         .await;
-        if let Some(Err(_)) = &told {
-            // A lost device refuses the map, and says so in the next poll.
-            let _ = gpu.device.poll(wgpu::PollType::Poll);
+        drop(alarm);
+        // A lost device refuses the map, or never answers.
+        if !matches!(told, Some(Ok(()))) {
+            gpu.check_alive()?;
         }
-        gpu.check_lost()?;
         match told {
             Some(Ok(())) => Ok(()),
             Some(Err(message)) => Err(Error::Driver { stage: stage.into(), message }),

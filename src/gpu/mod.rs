@@ -4,6 +4,7 @@
 //! A [`Slot`] is one run's worth of memory, so that several pictures can be in flight.
 
 mod context;
+mod faults;
 mod landing;
 mod native;
 mod poison;
@@ -11,7 +12,10 @@ mod program;
 mod slot;
 
 pub use context::{AdapterChoice, AdapterReport, Gpu, GpuOptions, adapters};
+#[doc(hidden)]
+pub use faults::{Call, Fault, Faults};
 pub use landing::Deadline;
+pub(crate) use native::Alarm;
 pub use poison::Poison;
 pub use program::{Profile, Program, ProgramOptions};
 pub use slot::{Inputs, RunOutput, Slot};

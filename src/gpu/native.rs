@@ -4,40 +4,88 @@
 //! [`Clock`] when its time is up.
 
 use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{self, Sender};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::task::Waker;
-use std::time::Instant;
+use std::time::{Duration, Instant};
+
+use crate::gpu::landing::Landing;
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// Why a device is gone, once it is. Clones are one and the same.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Loss(Arc<Mutex<Option<String>>>);
+
+impl Loss {
+    /// The first to say so is believed.
+    pub fn tell(&self, message: String) {
+        lock(&self.0).get_or_insert(message);
+    }
+
+    pub fn get(&self) -> Option<String> {
+        lock(&self.0).clone()
+    }
+}
+
+/// Polls a device: `wgpu` ends the thread where the driver says that the device is lost.
+pub(super) fn poll(
+    device: &wgpu::Device,
+    how: wgpu::PollType,
+    loss: &Loss,
+) -> Result<(), wgpu::PollError> {
+    match catch_unwind(AssertUnwindSafe(|| device.poll(how))) {
+        Ok(told) => told.map(|_| ()),
+        Err(_) => {
+            loss.tell("the driver failed while it was waited for".into());
+            Ok(())
+        }
+    }
+}
+
 /// A thread that waits for submissions, in their order, so that the callbacks behind them run.
 #[derive(Debug)]
 pub(super) struct Poller {
-    submissions: Sender<wgpu::SubmissionIndex>,
+    submissions: Sender<(wgpu::SubmissionIndex, Landing)>,
 }
 
+/// Between two looks at a device that said it was done, but not told whoever waits.
+const SHORT_PAUSE: Duration = Duration::from_micros(200);
+/// The longest of such pauses; each is twice the one before.
+const LONG_PAUSE: Duration = Duration::from_millis(10);
+
 impl Poller {
-    pub fn new(device: &wgpu::Device) -> Self {
-        let (submissions, received) = mpsc::channel();
-        let device = device.clone();
+    pub fn new(device: &wgpu::Device, loss: &Loss) -> Self {
+        let (submissions, received) = mpsc::channel::<(wgpu::SubmissionIndex, Landing)>();
+        let (device, loss) = (device.clone(), loss.clone());
         // It ends when the sender is gone.
         std::thread::spawn(move || {
-            for index in received {
+            for (index, landing) in received {
                 let wait = wgpu::PollType::Wait { submission_index: Some(index), timeout: None };
-                // Whoever waits learns of a failure through its own callback.
-                let _ = device.poll(wait);
+                // A wait that ends early, or for what was never submitted, is made up for below.
+                let _ = poll(&device, wait, &loss);
+                let mut pause = SHORT_PAUSE;
+                while !landing.is_over() {
+                    if let Some(message) = loss.get() {
+                        landing.tell(Err(message));
+                        break;
+                    }
+                    std::thread::sleep(pause);
+                    pause = LONG_PAUSE.min(2 * pause);
+                    let _ = poll(&device, wgpu::PollType::Poll, &loss);
+                }
             }
         });
         Self { submissions }
     }
 
-    /// Sees to it that the callbacks behind a submission run.
-    pub fn follow(&self, submission: wgpu::SubmissionIndex) {
+    /// Sees to it that somebody tells `landing` what became of it.
+    pub fn follow(&self, submission: wgpu::SubmissionIndex, landing: Landing) {
         // The thread outlives this sender.
-        let _ = self.submissions.send(submission);
+        let _ = self.submissions.send((submission, landing));
     }
 }
 
@@ -56,20 +104,34 @@ struct Alarms {
     ended: bool,
 }
 
+/// A time at which somebody is woken, unless this is dropped before.
+#[derive(Debug)]
+pub(crate) struct Alarm {
+    key: (Instant, u64),
+    state: Arc<(Mutex<Alarms>, Condvar)>,
+}
+
+impl Drop for Alarm {
+    fn drop(&mut self) {
+        lock(&self.state.0).wakers.remove(&self.key);
+    }
+}
+
 impl Clock {
     /// Wakes `waker` at `time`.
-    pub fn wake_at(&self, time: Instant, waker: Waker) {
+    pub fn wake_at(&self, time: Instant, waker: Waker) -> Alarm {
         let (alarms, changed) = &*self.state;
         let mut alarms = lock(alarms);
-        let number = alarms.next;
+        let key = (time, alarms.next);
         alarms.next += 1;
-        alarms.wakers.insert((time, number), waker);
+        alarms.wakers.insert(key, waker);
         if !alarms.runs {
             alarms.runs = true;
             let state = self.state.clone();
             std::thread::spawn(move || Self::run(&state));
         }
         changed.notify_one();
+        Alarm { key, state: self.state.clone() }
     }
 
     fn run((alarms, changed): &(Mutex<Alarms>, Condvar)) {
@@ -103,20 +165,21 @@ mod tests {
     use super::*;
     use std::future::poll_fn;
     use std::task::Poll;
-    use std::time::Duration;
 
     #[test]
     fn alarms_wake_in_the_order_of_their_times() {
         let clock = Clock::default();
         let start = Instant::now();
         let until = |time: Instant| {
+            let mut alarm = None;
             pollster::block_on(poll_fn(|context| {
                 if Instant::now() >= time {
                     return Poll::Ready(());
                 }
-                clock.wake_at(time, context.waker().clone());
+                alarm = Some(clock.wake_at(time, context.waker().clone()));
                 Poll::Pending
             }));
+            drop(alarm);
         };
         std::thread::scope(|scope| {
             scope.spawn(|| until(start + Duration::from_millis(60)));
@@ -124,5 +187,16 @@ mod tests {
             until(start);
         });
         assert!(start.elapsed() >= Duration::from_millis(60));
+        assert!(lock(&clock.state.0).wakers.is_empty());
+    }
+
+    /// A picture that came in time leaves nothing that waits for its limit.
+    #[test]
+    fn an_alarm_that_nobody_needs_is_forgotten() {
+        let clock = Clock::default();
+        let alarm = clock.wake_at(Instant::now() + Duration::from_secs(120), Waker::noop().clone());
+        assert_eq!(lock(&clock.state.0).wakers.len(), 1);
+        drop(alarm);
+        assert!(lock(&clock.state.0).wakers.is_empty());
     }
 }

@@ -150,19 +150,17 @@ impl Program {
     /// [`Error::Shader`] for a shader that does not compile or does not have the bindings that were
     /// recorded; [`Error::Capacity`] for a tensor past the device's limits; [`Error::Driver`] for what
     /// the driver objects to.
-    pub async fn new(
+    pub(crate) async fn new(
         gpu: &Arc<Gpu>,
         lowered: &Lowered,
         like: Option<&Program>,
         options: ProgramOptions,
     ) -> Result<Self> {
-        gpu.check_lost()?;
         let build = || Self::build(gpu, lowered, like, options);
-        let program = gpu.scoped("building the program", build).await;
-        if program.is_err() {
-            gpu.forget_pipelines();
-        }
-        program
+        let program = gpu.scoped("building the program", build).await?;
+        // A lost device objects to nothing.
+        gpu.check_alive()?;
+        Ok(program)
     }
 
     fn build(
@@ -256,7 +254,7 @@ impl Program {
                 let resource = self.gpu.create(info.storage, guard);
                 match &resource {
                     Resource::Buffer(buffer) => {
-                        self.gpu.queue.write_buffer(buffer, 0, value.bytes());
+                        self.gpu.write(buffer, 0, value.bytes());
                     }
                     Resource::Texture(texture, _) => self.gpu.write_texture(texture, value.bytes()),
                 }
@@ -399,14 +397,14 @@ fn uniforms(gpu: &Gpu, recording: &Recording) -> wgpu::Buffer {
         bytes.extend_from_slice(&dispatch.params);
         bytes.resize(bytes.len().next_multiple_of(UNIFORM_ALIGN), 0);
     }
-    let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+    let buffer = gpu.create_buffer(wgpu::BufferDescriptor {
         label: Some("params"),
         size: (bytes.len() as u64).max(4),
         usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
         mapped_at_creation: false,
     });
     if !bytes.is_empty() {
-        gpu.queue.write_buffer(&buffer, 0, &bytes);
+        gpu.write(&buffer, 0, &bytes);
     }
     buffer
 }

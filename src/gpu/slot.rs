@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use crate::error::{Error, Result};
 use crate::gpu::context::Gpu;
+use crate::gpu::faults::{Call, Fault};
 use crate::gpu::landing::{Deadline, Landing};
 use crate::gpu::poison::Poison;
 use crate::gpu::program::{
@@ -74,8 +75,11 @@ impl Slot {
     /// [`Error::Driver`] for what the driver objects to.
     pub async fn new(program: &Arc<Program>) -> Result<Self> {
         let gpu = program.gpu.clone();
-        gpu.check_lost()?;
-        gpu.scoped("allocating memory for a picture", || Ok(Self::build(program))).await
+        let build = || Ok(Self::build(program));
+        let slot = gpu.scoped("allocating memory for a picture", build).await?;
+        // A lost device objects to nothing.
+        gpu.check_alive()?;
+        Ok(slot)
     }
 
     /// A slot of a program of its own: `graph` by the preferred kernels, a picture at a time. A run
@@ -113,7 +117,7 @@ impl Slot {
                 ty: wgpu::QueryType::Timestamp,
                 count,
             });
-            let resolve = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            let resolve = gpu.create_buffer(wgpu::BufferDescriptor {
                 label: None,
                 size: u64::from(count) * 8,
                 usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
@@ -124,7 +128,7 @@ impl Slot {
             Timestamps { set, resolve, offset }
         });
         let staging_bytes = staging_bytes.max(4);
-        let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        let staging = gpu.create_buffer(wgpu::BufferDescriptor {
             label: Some("staging"),
             size: staging_bytes,
             usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
@@ -190,7 +194,7 @@ impl Slot {
                 Ok(()) | Err(Error::Driver { .. }) => {}
                 Err(e) => return Err(e),
             }
-            self.staging.unmap();
+            self.unmap();
             self.in_flight = None;
         }
         Ok(())
@@ -225,12 +229,25 @@ impl Slot {
                 }
             }
             self.bind();
-            let submission = gpu.queue.submit([self.encode()]);
+            let submission = gpu.submit(Some(self.encode()));
             Ok(Landing::new(gpu, &self.staging, self.staging_bytes, submission, start))
         }));
-        // A map that is still pending would make every later submit fail.
-        self.in_flight = Some(landing.inspect_err(|_| self.staging.unmap())?);
+        self.in_flight = Some(landing.inspect_err(|_| self.forget())?);
         Ok(())
+    }
+
+    /// After a submit that failed: what was made for it may be as invalid as what the driver objected
+    /// to, and a map that is still pending would make every later submit fail.
+    fn forget(&mut self) {
+        self.groups.fill(None);
+        self.given.clear();
+        self.unmap();
+    }
+
+    /// Gives the staging buffer back to the device. That it was not mapped, because the run or the map
+    /// failed, has been told already.
+    fn unmap(&self) {
+        self.program.gpu.unheard(|| self.staging.unmap());
     }
 
     fn check(&self, inputs: &Inputs) -> Result<()> {
@@ -261,7 +278,7 @@ impl Slot {
             Some(place) => {
                 if let Some(Resource::Buffer(buffer)) = self.resource(place, picture) {
                     let offset = u64::from(picture) * program.tensors[id.0].stride;
-                    program.gpu.queue.write_buffer(&buffer, offset, value.bytes());
+                    program.gpu.write(&buffer, offset, value.bytes());
                 }
             }
             // Nothing reads it.
@@ -289,11 +306,11 @@ impl Slot {
             }
         }
         let Some(buffer) = self.given.get(&(id, picture)) else { return };
-        gpu.queue.write_buffer(buffer, 0, value.bytes());
+        gpu.write(buffer, 0, value.bytes());
         if guard > 0 {
             let words = (bytes / 4..buffer.size() / 4).map(|at| at as usize);
             let poison: Vec<u32> = words.map(|at| self.poison.word(id, at)).collect();
-            gpu.queue.write_buffer(buffer, bytes, bytemuck::cast_slice(&poison));
+            gpu.write(buffer, bytes, bytemuck::cast_slice(&poison));
         }
     }
 
@@ -314,7 +331,7 @@ impl Slot {
                     let first = if matches!(place, Place::Fixed(_)) { guard } else { 0 };
                     let words = (first / 4) as usize..(buffer.size() / 4) as usize;
                     let poison: Vec<u32> = words.map(word).collect();
-                    gpu.queue.write_buffer(&buffer, first, bytemuck::cast_slice(&poison));
+                    gpu.write(&buffer, first, bytemuck::cast_slice(&poison));
                 }
                 (_, Some(Resource::Texture(texture, _))) => {
                     let words = texture.width() as usize * texture.height() as usize * 4;
@@ -369,6 +386,9 @@ impl Slot {
                         size: std::num::NonZeroU64::new(*bytes),
                     }),
                 });
+            }
+            if program.gpu.fault(Call::BindGroup) == Some(Fault::Invalid) {
+                entries.clear();
             }
             let group = program.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
                 label: Some(&pipeline.label),
@@ -493,12 +513,12 @@ impl Slot {
         if let Err(e) = landing.wait(&gpu, deadline, "the network").await {
             match e {
                 Error::Timeout { .. } => self.in_flight = Some(landing),
-                _ => self.staging.unmap(),
+                _ => self.unmap(),
             }
             return Err(e);
         }
         let output = self.read(&landing);
-        self.staging.unmap();
+        self.unmap();
         output
     }
 

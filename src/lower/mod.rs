@@ -23,14 +23,14 @@ pub use choice::Choice;
 #[derive(Debug)]
 pub struct Lowered {
     /// Commands over tensors of its own.
-    pub recording: Recording,
+    pub(crate) recording: Recording,
     /// The recording's tensor for each input of the graph and each tensor that is read back.
-    pub places: HashMap<TensorId, TensorId>,
+    pub(crate) places: HashMap<TensorId, TensorId>,
     /// The kernel of each operation that runs, in order.
-    pub kernels: Vec<&'static str>,
+    pub(crate) kernels: Vec<&'static str>,
     /// For each command, which of the graph's operations it is for: conversions belong to the one that
     /// reads.
-    pub owners: Vec<usize>,
+    pub(crate) owners: Vec<usize>,
 }
 
 /// What is asked of a lowering.

@@ -175,6 +175,7 @@ static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
         "conv2d",
         &[
             &conv2d::Direct(conv2d::Manner::Split),
+            &conv2d::Winograd,
             &conv2d::Direct(conv2d::Manner::Whole),
             &conv2d::Direct(conv2d::Manner::Alone),
             &conv2d::Planar,

@@ -31,6 +31,7 @@ mod spatial_pool;
 pub(crate) mod top_k;
 mod upsample_bilinear;
 pub(crate) mod weighted_sum;
+pub(crate) mod winograd;
 
 pub use crate::cpu::Crop;
 pub use apply_gates::ApplyGates;

@@ -3,9 +3,11 @@
 mod direct;
 mod join;
 mod planar;
+mod winograd;
 
 pub(super) use direct::{Direct, Manner};
 pub(super) use planar::Planar;
+pub(super) use winograd::Winograd;
 
 use crate::error::Result;
 use crate::graph::TensorId;

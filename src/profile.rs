@@ -8,9 +8,8 @@ use std::time::Duration;
 use crate::error::{Error, Result};
 use crate::gpu::{Gpu, Profile, Program, ProgramOptions, Slot};
 use crate::graph::{Graph, TensorId};
-use crate::kernels::{Dispatch, Grid, Recording, Role};
+use crate::kernels::{Recording, roof};
 use crate::lower::{Choice, Lowered, Request, lower};
-use crate::shader::{Shader, shader_params};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
@@ -103,26 +102,6 @@ fn slot(gpu: &Arc<Gpu>, lowered: &Lowered) -> Result<Slot> {
     })
 }
 
-shader_params! {
-    struct Params {
-        rounds: u32,
-        factor: f32,
-        texels: u32,
-        pad: u32,
-    }
-}
-
-static SHADER: Shader =
-    Shader { stem: "roof", source: include_str!("../wgsl/roof.wgsl"), params: PARAMS };
-
-/// Invocations that multiply, in workgroups of 64.
-const INVOCATIONS: u32 = 1 << 14;
-/// Multiply-adds of an invocation's round, as `wgsl/roof.wgsl` has them.
-const CHAINS: u32 = 16;
-const ROUNDS: u32 = 4096;
-/// Texels of 16 bytes that are copied: more than a cache holds.
-const TEXELS: u32 = 4 << 20;
-
 /// Measures an adapter: the best of so many runs.
 ///
 /// # Errors
@@ -130,17 +109,7 @@ const TEXELS: u32 = 4 << 20;
 pub fn roof(gpu: &Arc<Gpu>, runs: usize) -> Result<Roof> {
     let mut recording = Recording::new(1, gpu.caps().clone());
     recording.begin_stage("roof");
-    let sums = recording.tensor("sums", TensorSpec::f32([INVOCATIONS as usize]), Role::Transient);
-    let texels = TensorSpec::f32([TEXELS as usize, 4]);
-    let from = recording.tensor("from", texels.clone(), Role::Transient);
-    let to = recording.tensor("to", texels, Role::Transient);
-    let params = Params { rounds: ROUNDS, factor: 0.999, texels: TEXELS, pad: 0 };
-    let chains = Grid::Workgroups([INVOCATIONS / 64, 1, 1]);
-    let sums = [("sums", sums)];
-    recording.dispatch(Dispatch::new(&SHADER, "multiply_add", &params, &sums, chains));
-    let copy = [("from", from), ("to", to)];
-    let grid = Grid::linear(TEXELS as usize, 64);
-    recording.dispatch(Dispatch::new(&SHADER, "copy", &params, &copy, grid));
+    roof::record(&mut recording);
     let lowered =
         Lowered { recording, places: Default::default(), kernels: Vec::new(), owners: Vec::new() };
     let mut slot = slot(gpu, &lowered)?;
@@ -155,6 +124,5 @@ pub fn roof(gpu: &Arc<Gpu>, runs: usize) -> Result<Roof> {
             *best = best.min(time.time.as_secs_f64());
         }
     }
-    let multiply_adds = f64::from(INVOCATIONS) * f64::from(ROUNDS) * f64::from(CHAINS);
-    Ok(Roof { multiply_adds: multiply_adds / best[0], bytes: f64::from(TEXELS) * 32.0 / best[1] })
+    Ok(Roof { multiply_adds: roof::MULTIPLY_ADDS / best[0], bytes: roof::BYTES / best[1] })
 }

@@ -257,7 +257,7 @@ fn bad_pictures_are_named_and_good_ones_go_through() {
     assert_eq!(files, expected);
     for (record, file) in records.iter().zip(&good) {
         let fields: Vec<&String> = record.as_object().expect("an object").keys().collect();
-        let all = ["adapter", "detections", "file", "height", "timings_ms", "width"];
+        let all = ["adapter", "detections", "file", "height", "kernels", "timings_ms", "width"];
         assert_eq!(fields, all);
         let [width, height] = ["width", "height"].map(|k| record[k].as_u64().expect("a size"));
         let drawn = folder.path().join("drawn").join(drawn_name(file));

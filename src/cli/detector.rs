@@ -9,6 +9,8 @@ use smr_gpu::model::ModelConfig;
 use smr_gpu::{Config, Device, Error, GpuDetector};
 
 use super::exit::{Exit, Failure};
+use super::output::tell;
+use super::tune;
 
 /// The weight file, relative to the folders in which it is looked for.
 const WEIGHTS: &str = "weights/smrnet.safetensors";
@@ -98,6 +100,7 @@ impl DetectorArgs {
         config.input_size = self.size;
         config.timeout = self.timeout;
         config.device = self.device.device.clone();
+        config.choices = tune::folder();
         Ok(config)
     }
 }
@@ -107,7 +110,9 @@ impl DetectorArgs {
 /// # Errors
 /// What the library returns.
 pub(super) fn open(config: Config) -> Result<GpuDetector, Failure> {
-    Ok(GpuDetector::new(config)?)
+    let detector = GpuDetector::new(config)?;
+    detector.remarks().iter().for_each(tell);
+    Ok(detector)
 }
 
 /// Opens a GPU for `device`; `None` stands for the CPU, as in [`open`].

@@ -2,6 +2,7 @@
 //!
 //! Data goes to stdout, messages for people to stderr; exit codes are in [`exit`].
 
+mod bench;
 mod calibrate;
 mod check;
 mod compare;
@@ -19,6 +20,7 @@ mod simulate;
 mod source;
 mod stdout;
 mod tensors;
+mod tune;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -44,6 +46,8 @@ enum Command {
     Op(op::Args),
     Check(check::Args),
     Compare(compare::Args),
+    Tune(tune::Args),
+    Bench(bench::Args),
     Simulate(Box<simulate::Args>),
     Calibrate(calibrate::Args),
 }
@@ -83,6 +87,8 @@ fn parse_and_run() -> Result<Exit, Failure> {
         Command::Op(args) => op::run(args),
         Command::Check(args) => check::run(args),
         Command::Compare(args) => compare::run(args),
+        Command::Tune(args) => tune::run(args),
+        Command::Bench(args) => bench::run(args),
         Command::Simulate(args) => simulate::run(*args),
         Command::Calibrate(args) => calibrate::run(args),
     }

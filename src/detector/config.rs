@@ -108,9 +108,11 @@ pub struct Config {
     pub rebuild_on_loss: bool,
     /// Pictures that may be in flight on a GPU at a time; each takes memory once it is needed.
     pub in_flight: usize,
-    /// Which kernels run on a GPU, as [`crate::tune`] measured; what it does not name is chosen by the
-    /// adapter's kind.
+    /// Which kernels run on a GPU; what it does not name is chosen by the adapter's kind.
     pub choice: Choice,
+    /// Folder in which to look for the choice that [`crate::tune`] measured on the adapter; it counts
+    /// where `choice` names nothing.
+    pub choices: Option<PathBuf>,
     /// Let wgpu check the shaders' bounds (slower; see [`GpuOptions::checked`]).
     pub checked: bool,
     /// Keep every stage's tensor, for [`GpuDetector::detect_with_stages`]; takes more memory.
@@ -141,6 +143,7 @@ impl Config {
             rebuild_on_loss: true,
             in_flight: 2,
             choice: Choice::default(),
+            choices: None,
             checked: false,
             keep_stages: false,
         }
@@ -203,6 +206,12 @@ impl Config {
     /// Sets [`Config::choice`].
     pub fn choice(mut self, choice: Choice) -> Self {
         self.choice = choice;
+        self
+    }
+
+    /// Sets [`Config::choices`].
+    pub fn choices(mut self, folder: impl Into<PathBuf>) -> Self {
+        self.choices = Some(folder.into());
         self
     }
 

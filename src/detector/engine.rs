@@ -12,15 +12,20 @@ use crate::gpu::{AdapterChoice, Deadline, Gpu, GpuOptions, Program, ProgramOptio
 use crate::graph::{StageTime, TensorId};
 #[cfg(feature = "cpu")]
 use crate::host::HostPlan;
-use crate::lower::{Request, lower};
+use crate::lower::{Choice, Request, lower};
 use crate::model::{Network, Weights};
 use crate::tensor::Value;
+use crate::tune::{Place, Tuned};
 
 /// A network and what runs it.
 pub(super) struct Engine {
     pub network: Network,
     /// What runs it, for people.
     pub adapter: String,
+    /// Which kernels run it.
+    pub choice: Choice,
+    /// What went otherwise than the configuration says, for people.
+    pub remarks: Vec<String>,
     runner: Runner,
     keep: Vec<TensorId>,
 }
@@ -55,11 +60,12 @@ impl Engine {
             Some(gpu) => Some(gpu),
             None => open(config).await?,
         };
+        let (mut choice, mut remarks) = (Choice::default(), Vec::new());
         let (runner, adapter) = match (gpu, &config.device) {
             (Some(gpu), _) => {
                 let adapter = format!("{} ({})", gpu.info().name, gpu.info().backend);
-                let choice = &config.choice;
-                let request = Request { keep: &keep, batch: 1, caps: gpu.caps(), choice };
+                choice = choose(config, &gpu, &mut remarks);
+                let request = Request { keep: &keep, batch: 1, caps: gpu.caps(), choice: &choice };
                 let lowered = lower(&network.graph, &request)?;
                 let program = Program::new(&gpu, &lowered, None, ProgramOptions::default()).await?;
                 let pool = Pool::new(Arc::new(program), config.in_flight).await?;
@@ -80,7 +86,7 @@ impl Engine {
         if !matches!(runner, Runner::Reference) && !config.keep_stages {
             network.graph.forget_constants();
         }
-        Ok(Self { network, adapter, runner, keep })
+        Ok(Self { network, adapter, choice, remarks, runner, keep })
     }
 
     /// The kernel of each operation, in order; none but on a GPU.
@@ -117,6 +123,21 @@ impl Engine {
                 Ok((run.first(), run.stages))
             }
         }
+    }
+}
+
+/// The kernels that the configuration names, or that were measured on `gpu`.
+pub(super) fn choose(config: &Config, gpu: &Gpu, remarks: &mut Vec<String>) -> Choice {
+    let file = config.choices.as_ref().map(|folder| folder.join(Place::of(gpu).file_name()));
+    match file.filter(|file| config.choice == Choice::default() && file.exists()) {
+        None => config.choice.clone(),
+        Some(file) => match Tuned::read(&file, gpu) {
+            Ok(tuned) => tuned.choice,
+            Err(e) => {
+                remarks.push(format!("{e}; going on without"));
+                Choice::default()
+            }
+        },
     }
 }
 

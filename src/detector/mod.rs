@@ -17,15 +17,18 @@ mod pool;
 
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crate::comparison::{self, StageComparison, Values};
 use crate::error::{Error, Result};
-use crate::frame::Frame;
+use crate::frame::{Frame, PixelFormat};
 use crate::gpu::{Deadline, Gpu};
 use crate::graph::{StageTime, TensorId};
+use crate::lower::Choice;
 use crate::model::ModelConfig;
+use crate::profile::{self, CommandTime};
 use crate::tensor::Value;
+use crate::tune::{self, Tuned};
 
 pub use config::{Config, Device, WeightSource};
 pub use detection::{Comparison, Detection, Detections};
@@ -102,6 +105,56 @@ impl GpuDetector {
     /// Name of what runs the network.
     pub fn adapter(&self) -> &str {
         &self.adapter
+    }
+
+    /// Which kernels run the network on a GPU: equal bits are promised for equal choices.
+    pub fn choice(&self) -> Choice {
+        self.engine().choice.clone()
+    }
+
+    /// What went otherwise than the configuration says, a line each: a damaged file with a choice of
+    /// kernels, say, that was passed over.
+    pub fn remarks(&self) -> Vec<String> {
+        self.engine().remarks.clone()
+    }
+
+    /// Measures which kernels are fastest on `gpu` for this network: see [`crate::tune`]. The detector
+    /// must hold its weights: one with [`Device::Reference`] does.
+    ///
+    /// # Errors
+    /// As [`tune::tune`].
+    pub fn tune(
+        &self,
+        gpu: &Arc<Gpu>,
+        limit: Duration,
+        progress: impl FnMut(usize, usize),
+    ) -> Result<Tuned> {
+        let engine = self.engine();
+        let input = Input::new(&self.noise())?;
+        let inputs = input.inputs(&engine.network);
+        tune::tune(gpu, &engine.network.graph, &inputs, limit, progress)
+    }
+
+    /// Times every command of this network on `gpu`: see [`crate::profile`]. The detector must hold its
+    /// weights: one with [`Device::Reference`] does.
+    ///
+    /// # Errors
+    /// As [`profile::commands`].
+    pub fn profile(&self, gpu: &Arc<Gpu>, runs: usize) -> Result<Vec<CommandTime>> {
+        let engine = self.engine();
+        let input = Input::new(&self.noise())?;
+        let inputs = input.inputs(&engine.network);
+        let mut remarks = Vec::new();
+        let choice = engine::choose(&self.config, gpu, &mut remarks);
+        profile::commands(gpu, &engine.network.graph, &inputs, &choice, runs)
+    }
+
+    /// A picture of the sensor's size in which there is something everywhere.
+    fn noise(&self) -> Frame<'static> {
+        let side = self.model.picture_size;
+        let pixel = |i: usize| ((i as u32).wrapping_mul(2_654_435_761) >> 24) as u8;
+        let pixels: Vec<u8> = (0..side as usize * side as usize).map(pixel).collect();
+        Frame::new(pixels, side, side, PixelFormat::Gray8)
     }
 
     fn engine(&self) -> Arc<Engine> {

@@ -25,6 +25,7 @@ mod max_pool2d;
 mod nms;
 mod not_finite;
 mod roi_align;
+pub(crate) mod roof;
 mod scale_weights;
 mod softmax;
 mod spatial_gate;
@@ -181,7 +182,7 @@ static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
     ("gather_rows", &[&gather_rows::Planar]),
     ("global_avg_pool", &[&global_avg_pool::Quads, &global_avg_pool::Planar]),
     ("indirect_grid", &[&indirect_grid::Planar]),
-    ("linear", &[&linear::Planar]),
+    ("linear", &[&linear::Gemm, &linear::Planar]),
     ("max_pool2d", &[&max_pool2d::Quads, &max_pool2d::Planar]),
     ("nms", &[&nms::Planar]),
     ("not_finite", &[&not_finite::Planar]),
@@ -214,6 +215,7 @@ pub fn named(name: &str) -> &'static [&'static dyn Kernel] {
 /// Every shader in all variants that an adapter like `caps` may need, once.
 pub fn shaders(caps: &Caps) -> Vec<(&'static Shader, Variant)> {
     let mut found: Vec<(&'static Shader, Variant)> = Convert::shaders(caps);
+    found.push((&roof::SHADER, Variant::default()));
     for shader in all().flat_map(|kernel| kernel.shaders(caps)) {
         if !found.iter().any(|(s, v)| s.stem == shader.0.stem && *v == shader.1) {
             found.push(shader);

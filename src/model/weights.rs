@@ -3,9 +3,11 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use half::slice::HalfFloatSliceExt;
 use safetensors::{Dtype, SafeTensors};
@@ -28,7 +30,7 @@ const MAX_TENSORS: usize = 4096;
 /// The tensors of a weight file and its configuration. Building a network takes the tensors out one
 /// by one, so what is missing, misshapen or left over is noticed.
 ///
-/// The file's bytes stay as they are: a tensor is unpacked when somebody wants its values.
+/// A tensor is read and unpacked when somebody wants its values, and kept by nobody here.
 #[derive(Clone)]
 pub struct Weights {
     file: PathBuf,
@@ -45,10 +47,40 @@ enum Source {
 /// Bytes that somebody holds.
 type Bytes = Arc<dyn AsRef<[u8]> + Send + Sync>;
 
+/// Where the bytes of a weight file are.
+#[derive(Clone)]
+enum Held {
+    Memory(Bytes),
+    /// On disk, with the name for messages.
+    File(Arc<Mutex<File>>, PathBuf),
+}
+
+impl Held {
+    /// # Errors
+    /// [`Error::Weights`] for a file that cannot be read any more.
+    fn read(&self, range: &Range<usize>) -> Result<Cow<'_, [u8]>> {
+        match self {
+            Self::Memory(bytes) => Ok((**bytes).as_ref()[range.clone()].into()),
+            Self::File(file, name) => {
+                let mut bytes = vec![0; range.len()];
+                let mut file = file.lock().unwrap_or_else(PoisonError::into_inner);
+                let read = file.seek(SeekFrom::Start(range.start as u64));
+                let read = read.and_then(|_| file.read_exact(&mut bytes));
+                let fail = |e: std::io::Error| Error::Weights {
+                    file: name.clone(),
+                    message: e.to_string(),
+                };
+                read.map_err(fail)?;
+                Ok(bytes.into())
+            }
+        }
+    }
+}
+
 /// A tensor as it lies in a weight file.
 #[derive(Clone)]
 struct Stored {
-    bytes: Bytes,
+    held: Held,
     range: Range<usize>,
     half: bool,
     shape: Shape,
@@ -58,9 +90,8 @@ struct Stored {
 
 impl Stored {
     /// The tensor, unpacked.
-    fn tensor(&self) -> Tensor {
-        let bytes: &[u8] = (*self.bytes).as_ref();
-        let bytes = &bytes[self.range.clone()];
+    fn tensor(&self) -> Result<Tensor> {
+        let bytes: &[u8] = &self.held.read(&self.range)?;
         if self.half {
             // The tensors of a file need not lie where their elements may.
             let values: Cow<[half::f16]> = match bytemuck::try_cast_slice(bytes) {
@@ -69,11 +100,11 @@ impl Stored {
             };
             let mut tensor = Tensor::zeros(self.shape.clone());
             values.convert_to_f32_slice(tensor.data_mut());
-            return tensor;
+            return Ok(tensor);
         }
-        Tensor::from_fn(self.shape.clone(), |i| {
+        Ok(Tensor::from_fn(self.shape.clone(), |i| {
             f32::from_le_bytes(std::array::from_fn(|k| bytes[4 * i + k]))
-        })
+        }))
     }
 }
 
@@ -92,10 +123,10 @@ impl Taken {
         }
     }
 
-    fn tensor(&self) -> Tensor {
+    fn tensor(&self) -> Result<Tensor> {
         match self {
             Self::Stored(stored) => stored.tensor(),
-            Self::Random { name, shape, seed } => random_tensor(name, shape.clone(), *seed),
+            Self::Random { name, shape, seed } => Ok(random_tensor(name, shape.clone(), *seed)),
         }
     }
 
@@ -136,9 +167,11 @@ impl Weights {
     /// [`Error::Weights`] if it cannot be read, is no regular file or longer than [`MAX_FILE`], is
     /// truncated, has no valid `config`, or holds a value that is not finite.
     pub fn open(path: &Path) -> Result<Self> {
-        let bytes = files::read(path, MAX_FILE)
-            .map_err(|e| Error::Weights { file: path.into(), message: e.to_string() })?;
-        Self::from_shared(path, Arc::new(bytes))
+        let fail = |e: std::io::Error| Error::Weights { file: path.into(), message: e.to_string() };
+        let (file, _) = files::open(path).map_err(fail)?;
+        // All of it once, to look at every value; then each tensor when it is wanted.
+        let bytes = files::read(path, MAX_FILE).map_err(fail)?;
+        Self::parse(path, &bytes, Held::File(Arc::new(Mutex::new(file)), path.into()))
     }
 
     /// Reads weights from memory; `name` stands for the file in messages.
@@ -154,7 +187,10 @@ impl Weights {
     /// # Errors
     /// As [`Weights::open`].
     pub fn from_shared(name: &Path, shared: Bytes) -> Result<Self> {
-        let bytes: &[u8] = (*shared).as_ref();
+        Self::parse(name, (*shared).as_ref(), Held::Memory(shared.clone()))
+    }
+
+    fn parse(name: &Path, bytes: &[u8], held: Held) -> Result<Self> {
         let fail = |message: String| Error::Weights { file: name.into(), message };
         check_length(bytes).map_err(fail)?;
         let (_, header) = SafeTensors::read_metadata(bytes)
@@ -191,14 +227,14 @@ impl Weights {
             };
             let first = data.as_ptr() as usize - bytes.as_ptr() as usize;
             let stored = Stored {
-                bytes: shared.clone(),
+                held: held.clone(),
                 range: first..first + data.len(),
                 half,
                 shape: Shape(view.shape().to_vec()),
                 largest,
             };
             if !largest.is_finite() {
-                let tensor = stored.tensor();
+                let tensor = stored.tensor()?;
                 let at = tensor.data().iter().position(|v| !v.is_finite()).unwrap_or(0);
                 let got = tensor.data()[at];
                 let message =
@@ -247,7 +283,7 @@ impl Weights {
     /// # Errors
     /// [`Error::Weights`] if it is missing or has another shape.
     pub fn take(&mut self, name: &str, shape: impl Into<Shape>) -> Result<Tensor> {
-        Ok(self.take_packed(name, shape)?.tensor())
+        self.take_packed(name, shape)?.tensor()
     }
 
     fn take_packed(&mut self, name: &str, shape: impl Into<Shape>) -> Result<Taken> {
@@ -292,19 +328,19 @@ impl Weights {
         let safe = ((f64::from(weight.largest()) * largest) as f32).is_finite();
         let spec = TensorSpec::f32(weight.shape().clone());
         let fold = move || {
-            let mut weight = weight.tensor();
+            let mut weight = weight.tensor()?;
             let per_channel = weight.shape().elements() / channels.max(1);
             for (c, row) in weight.data_mut().chunks_exact_mut(per_channel.max(1)).enumerate() {
                 row.iter_mut().for_each(|w| *w = (f64::from(*w) * scales[c]) as f32);
             }
-            weight
+            Ok::<_, Error>(weight)
         };
         // Where no weight can overflow, none is unpacked to look.
         if !safe {
-            self.check_finite(&format!("{conv}.weight` with `{bn}"), &fold())?;
+            self.check_finite(&format!("{conv}.weight` with `{bn}"), &fold()?)?;
         }
         self.check_finite(&format!("{conv}.bias` with `{bn}"), &bias)?;
-        let weight = Constant::made(spec, move || Ok(fold().into()));
+        let weight = Constant::made(spec, move || Ok(fold()?.into()));
         Ok(Folded { weight, bias: bias.into() })
     }
 
@@ -332,7 +368,7 @@ impl Weights {
         let weight = self.take_packed(&format!("{layer}.weight"), shape)?;
         let bias = self.take(&format!("{layer}.bias"), [weight.shape().0[0]])?;
         let spec = TensorSpec::f32(weight.shape().clone());
-        let weight = Constant::made(spec, move || Ok(weight.tensor().into()));
+        let weight = Constant::made(spec, move || Ok(weight.tensor()?.into()));
         Ok(Folded { weight, bias: bias.into() })
     }
 

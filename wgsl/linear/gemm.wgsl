@@ -1,13 +1,11 @@
 // A fully connected layer with bias and optional ReLU, over the rows in use.
 //
-// `partial`: with SUBGROUPS, lanes are outputs. One invocation computes four outputs, LANES apart, of
-// sixteen rows: it reads its own weights, a lane reads a row's inputs and spreads them to all. Without,
-// four outputs of eight rows, and all invocations read the same inputs. Slices of the inputs give the
-// device enough to do at few rows, and shorter sums are more accurate. `finish` adds the slices and
-// the bias.
+// `partial`: lanes are outputs. One invocation computes four outputs, LANES apart, of sixteen rows: it
+// reads its own weights; each lane reads a row's inputs and spreads them to all. Slices of the inputs
+// give the device enough to do at few rows, and shorter sums are more accurate. `finish` adds the
+// slices and the bias.
 //
-// Constants: LANES invocations, which with SUBGROUPS are a subgroup. With ALIGNED a row is a whole
-// number of vec4.
+// Constants: LANES of a subgroup, which is a workgroup. With ALIGNED, a row is a whole number of vec4.
 
 struct Params {
     rows: u32,
@@ -19,7 +17,11 @@ struct Params {
     slice_quads: u32,
     // Columns of `weight`.
     weight_width: u32,
+    // Tiles of 4 * LANES outputs.
+    tiles: u32,
     relu: u32,
+    // Always 0.
+    zero: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -59,37 +61,30 @@ fn columns(rows: Four) -> mat4x4<f32> {
     return transpose(mat4x4<f32>(rows.a, rows.b, rows.c, rows.d));
 }
 
-// Four rows each; a column is an output, a row a row.
+// Four rows each: a column is an output, its elements are rows.
 struct Sums {
     a: mat4x4<f32>,
     b: mat4x4<f32>,
-#if SUBGROUPS
     c: mat4x4<f32>,
     d: mat4x4<f32>,
-#endif
 }
 
-#if SUBGROUPS
 const ROWS: u32 = 16u;
-#else
-const ROWS: u32 = 8u;
-#endif
 
 @compute @workgroup_size(LANES)
 fn partial(
     @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
-#if SUBGROUPS
     @builtin(subgroup_invocation_id) lane: u32,
-#endif
 ) {
     let rows = min(count[0], params.rows);
-    let first_row = workgroup.x * ROWS;
+    let first_row = linear_index(workgroup, workgroups, 0u, 1u) * ROWS;
     if first_row >= rows {
         return;
     }
-    let tile = workgroup.y;
-    let slice = workgroup.z;
+    let tile = workgroup.z / params.slices;
+    let slice = workgroup.z % params.slices;
     let tile_width = 4u * LANES;
     let last_row = rows - 1u;
     let last_quad = (params.inner - 1u) / 4u;
@@ -109,42 +104,75 @@ fn partial(
         );
         at.x += tile_width;
         at = select(at, vec2<u32>(local, at.y + 1u), at.x == wrap);
-#if SUBGROUPS
 #if FOUR_LANES
-        let x0 = load(min(first_row + lane % 4u, last_row), quad);
-        let x4 = load(min(first_row + 4u + lane % 4u, last_row), quad);
-        let x8 = load(min(first_row + 8u + lane % 4u, last_row), quad);
-        let x12 = load(min(first_row + 12u + lane % 4u, last_row), quad);
-        let x = Rows(first(x0), first(x4), first(x8), first(x12));
+        let row = first_row + lane % 4u;
+        let a = first(load(min(row, last_row), quad));
+        let b = first(load(min(row + 4u, last_row), quad));
+        let c = first(load(min(row + 8u, last_row), quad));
+        let d = first(load(min(row + 12u, last_row), quad));
 #else
 #if EIGHT_LANES
-        let x0 = load(min(first_row + lane % 8u, last_row), quad);
-        let x8 = load(min(first_row + 8u + lane % 8u, last_row), quad);
-        let x = Rows(first(x0), second(x0), first(x8), second(x8));
+        let row = first_row + lane % 8u;
+        let near = load(min(row, last_row), quad);
+        let far = load(min(row + 8u, last_row), quad);
+        let a = first(near);
+        let b = second(near);
+        let c = first(far);
+        let d = second(far);
 #else
-        let x0 = load(min(first_row + lane % 16u, last_row), quad);
-        let x = Rows(first(x0), second(x0), third(x0), fourth(x0));
+        let all = load(min(first_row + lane % 16u, last_row), quad);
+        let a = first(all);
+        let b = second(all);
+        let c = third(all);
+        let d = fourth(all);
 #endif
 #endif
-        sums.a = add_products(sums.a, w, columns(x.a));
-        sums.b = add_products(sums.b, w, columns(x.b));
-        sums.c = add_products(sums.c, w, columns(x.c));
-        sums.d = add_products(sums.d, w, columns(x.d));
-#else
-        sums.a = add_products(sums.a, w, columns(four_rows(first_row, last_row, quad)));
-        sums.b = add_products(sums.b, w, columns(four_rows(first_row + 4u, last_row, quad)));
-#endif
+        sums.a = add_products(sums.a, w, columns(a));
+        sums.b = add_products(sums.b, w, columns(b));
+        sums.c = add_products(sums.c, w, columns(c));
+        sums.d = add_products(sums.d, w, columns(d));
     }
-#if SUBGROUPS
+    // By output, then row.
     var results = array<vec4<f32>, 16>(
         sums.a[0], sums.b[0], sums.c[0], sums.d[0],
         sums.a[1], sums.b[1], sums.c[1], sums.d[1],
         sums.a[2], sums.b[2], sums.c[2], sums.d[2],
         sums.a[3], sums.b[3], sums.c[3], sums.d[3],
     );
-#else
-    var results = array<vec4<f32>, 8>(
-        sums.a[0], sums.b[0], sums.a[1], sums.b[1], sums.a[2], sums.b[2], sums.a[3], sums.b[3],
-    );
-#endif
+    // Bounds that compilers do not see: unrolled, the stores would take long to compile.
+    let used = min(ROWS, rows - first_row);
+    let row_width = params.tiles * tile_width;
+    for (var output_index = 0u; output_index < 4u + params.zero; output_index++) {
+        var to = (slice * params.rows + first_row) * row_width
+            + tile * tile_width + output_index * LANES + local;
+        for (var row = 0u; row < used; row++) {
+            partials[to] = results[output_index * (ROWS / 4u) + row / 4u][row % 4u];
+            to += row_width;
+        }
+    }
+}
+
+@compute @workgroup_size(64)
+fn finish(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let index = linear_index(workgroup, workgroups, local, 64u);
+    let row = index / params.outputs;
+    let column = index % params.outputs;
+    if row >= min(count[0], params.rows) {
+        return;
+    }
+    let row_width = params.tiles * 4u * LANES;
+    var at = row * row_width + column;
+    var sum = bias[column];
+    for (var slice = 0u; slice < params.slices; slice++) {
+        sum += partials[at];
+        at += params.rows * row_width;
+    }
+    if params.relu != 0u {
+        sum = relu(vec4<f32>(sum)).x;
+    }
+    output[index] = sum;
 }

@@ -1,4 +1,4 @@
-//! A fully connected layer.
+//! Without subgroups.
 
 use crate::error::Result;
 use crate::graph::TensorId;
@@ -24,7 +24,7 @@ shader_params! {
 }
 
 static SHADER: Shader =
-    Shader { stem: "linear", source: include_str!("../../wgsl/linear.wgsl"), params: PARAMS };
+    Shader { stem: "linear", source: include_str!("../../../wgsl/linear.wgsl"), params: PARAMS };
 
 /// Rows that one workgroup computes.
 const ROWS: usize = 8;
@@ -34,7 +34,7 @@ const LANES: usize = 64;
 
 /// The definition, on planar maps.
 #[derive(Debug)]
-pub(super) struct Planar;
+pub(in crate::kernels) struct Planar;
 
 impl Kernel for Planar {
     fn id(&self) -> &'static str {

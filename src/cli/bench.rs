@@ -1,0 +1,113 @@
+//! `smr-gpu bench`: where the time goes on an adapter.
+
+use serde::Serialize;
+use smr_gpu::gpu::{Gpu, GpuOptions};
+use smr_gpu::{Device, GpuDetector};
+
+use super::detector::{DetectorArgs, gpu_only};
+use super::exit::{Exit, Failure};
+use super::output::{json_line, line, tell};
+
+/// Time every command of the network on an adapter
+///
+/// Prints for each dispatch and copy its time, the best of several runs, with the bytes that its
+/// operation must read and write and its multiply-adds, and what share of the adapter's own measured
+/// rates that is. Each command is timed in a pass of its own, so that all together take longer than a
+/// detection.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// A line for each command; without it one for each stage.
+    #[arg(long)]
+    ops: bool,
+
+    /// Runs of which the best counts.
+    #[arg(long, default_value_t = 5, value_name = "N")]
+    #[arg(value_parser = clap::value_parser!(u16).range(1..=1000))]
+    runs: u16,
+
+    /// Print one JSON object a line.
+    #[arg(long)]
+    json: bool,
+
+    #[command(flatten)]
+    detector: DetectorArgs,
+}
+
+#[derive(Debug, Default, Serialize)]
+struct Record {
+    stage: String,
+    tensor: String,
+    what: String,
+    ms: f64,
+    bytes: u64,
+    multiply_adds: u64,
+    /// Shares of the adapter's measured rates.
+    of_copy: f64,
+    of_multiply_add: f64,
+}
+
+pub(super) fn run(args: Args) -> Result<Exit, Failure> {
+    let mut config = args.detector.config()?;
+    let adapter = gpu_only(&config.device)?.clone();
+    let gpu = pollster::block_on(Gpu::open(GpuOptions { adapter, ..GpuOptions::default() }))?;
+    config.device = Device::Reference;
+    let runs = args.runs.into();
+    let roof = smr_gpu::profile::roof(&gpu, runs)?;
+    tell(format!(
+        "{} ({}): {:.1} GMAC/s of multiply-adds, {:.1} GB/s of copies",
+        gpu.info().name,
+        gpu.info().backend,
+        roof.multiply_adds / 1e9,
+        roof.bytes / 1e9
+    ));
+    let mut records: Vec<Record> = Vec::new();
+    for command in GpuDetector::new(config)?.profile(&gpu, runs)? {
+        let seconds = command.time.as_secs_f64();
+        let record = Record {
+            stage: command.stage,
+            tensor: command.tensor,
+            what: command.what,
+            ms: seconds * 1e3,
+            bytes: command.bytes,
+            multiply_adds: command.multiply_adds,
+            ..Record::default()
+        };
+        match records.last_mut().filter(|last| !args.ops && last.stage == record.stage) {
+            Some(last) => {
+                last.ms += record.ms;
+                last.bytes += record.bytes;
+                last.multiply_adds += record.multiply_adds;
+            }
+            None if args.ops => records.push(record),
+            None => records.push(Record { tensor: "all".into(), what: String::new(), ..record }),
+        }
+    }
+    for record in &mut records {
+        let seconds = (record.ms / 1e3).max(f64::MIN_POSITIVE);
+        record.of_copy = record.bytes as f64 / seconds / roof.bytes;
+        record.of_multiply_add = record.multiply_adds as f64 / seconds / roof.multiply_adds;
+    }
+    if args.json {
+        records.iter().try_for_each(json_line)?;
+        return Ok(Exit::Done);
+    }
+    let names = ["stage", "tensor", "ms", "MB", "MMAC", "of copy", "of MAC", "command"];
+    let [stage, tensor, ms, mb, mmac, copy, mac, what] = names;
+    line(format!("{stage:<16} {tensor:<32} {ms:>8} {mb:>8} {mmac:>8} {copy:>8} {mac:>8}  {what}"))?;
+    for r in &records {
+        line(format!(
+            "{:<16} {:<32} {:>8.3} {:>8.2} {:>8.1} {:>7.1}% {:>7.1}%  {}",
+            r.stage,
+            r.tensor,
+            r.ms,
+            r.bytes as f64 / 1e6,
+            r.multiply_adds as f64 / 1e6,
+            r.of_copy * 100.0,
+            r.of_multiply_add * 100.0,
+            r.what
+        ))?;
+    }
+    let total: f64 = records.iter().map(|r| r.ms).sum();
+    line(format!("{:<16} {:<32} {total:>8.3}", "all", ""))?;
+    Ok(Exit::Done)
+}

@@ -1,0 +1,88 @@
+//! `smr-gpu tune`: measures which kernels are fastest here, and keeps the choice.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use smr_gpu::files::Outputs;
+use smr_gpu::gpu::{Gpu, GpuOptions};
+use smr_gpu::tune::Place;
+use smr_gpu::{Device, GpuDetector};
+
+use super::detector::{DetectorArgs, gpu_only};
+use super::exit::{Exit, Failure};
+use super::output::{line, tell};
+
+/// Names the folder of the choices where the system's convention does not.
+const FOLDER_VARIABLE: &str = "SMR_GPU_CACHE";
+
+/// Measure which kernels are fastest on an adapter, and keep the choice
+///
+/// Each operation runs with each kernel that fits, for at most about ten seconds in all. The choice is
+/// kept in the user's cache folder, by adapter, driver and version; detections use it from then on.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Longest measurement, in seconds; a kernel's turn that has begun is ended.
+    #[arg(long, default_value_t = 10, value_name = "SECONDS")]
+    #[arg(value_parser = clap::value_parser!(u64).range(1..=3600))]
+    seconds: u64,
+
+    /// Write the choice to this file instead.
+    #[arg(long, value_name = "FILE.json")]
+    out: Option<PathBuf>,
+
+    #[command(flatten)]
+    detector: DetectorArgs,
+}
+
+pub(super) fn run(args: Args) -> Result<Exit, Failure> {
+    let mut config = args.detector.config()?;
+    let adapter = gpu_only(&config.device)?.clone();
+    let gpu = pollster::block_on(Gpu::open(GpuOptions { adapter, ..GpuOptions::default() }))?;
+    config.device = Device::Reference;
+    let detector = GpuDetector::new(config)?;
+    let path = match args.out {
+        Some(path) => path,
+        None => {
+            let folder = folder().ok_or_else(|| {
+                let message = format!("no cache folder: name one in {FOLDER_VARIABLE}, or --out");
+                Failure::usage(message)
+            })?;
+            std::fs::create_dir_all(&folder)
+                .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", folder.display())))?;
+            folder.join(Place::of(&gpu).file_name())
+        }
+    };
+    let mut files = Outputs::default();
+    files.check(&path)?;
+    let style = ProgressStyle::with_template("{bar:40} {pos} of {len} kernels a layer {elapsed}");
+    let bar = ProgressBar::new(0).with_style(style.unwrap_or(ProgressStyle::default_bar()));
+    let limit = Duration::from_secs(args.seconds);
+    let tuned = detector.tune(&gpu, limit, |done, all| {
+        bar.set_length(all as u64);
+        bar.set_position(done as u64);
+    })?;
+    bar.finish_and_clear();
+    for (key, kernel) in &tuned.choice.by_shape {
+        line(format!("{kernel:<28} {key}"))?;
+    }
+    files.write(&path, tuned.to_json().as_bytes())?;
+    tell(format!("{} ({}): kept in {}", gpu.info().name, gpu.info().backend, path.display()));
+    Ok(Exit::Done)
+}
+
+/// Where the choices are kept.
+pub(super) fn folder() -> Option<PathBuf> {
+    let variable = |name| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
+    if let Some(folder) = variable(FOLDER_VARIABLE) {
+        return Some(folder);
+    }
+    let caches = if cfg!(windows) {
+        variable("LOCALAPPDATA")
+    } else if cfg!(target_os = "macos") {
+        std::env::home_dir().map(|home| home.join("Library/Caches"))
+    } else {
+        variable("XDG_CACHE_HOME").or_else(|| Some(std::env::home_dir()?.join(".cache")))
+    };
+    caches.map(|folder| folder.join("smr-gpu"))
+}

@@ -1,0 +1,181 @@
+//! As a product of matrices, in registers.
+
+use crate::error::{Error, Result};
+use crate::graph::TensorId;
+use crate::kernels::count::{count_tensor, row_grid};
+use crate::kernels::products::Lanes;
+use crate::kernels::{
+    Caps, Dispatch, Grid, Kernel, MAX_WORKGROUPS, Recording, Work, indirect_grid,
+};
+use crate::ops::linear::slices;
+use crate::ops::{IndirectGrid, Linear, Op};
+use crate::shader::{Shader, Variant, shader_params};
+use crate::shape::TensorSpec;
+use crate::tensor::Tensor;
+
+shader_params! {
+    struct Params {
+        rows: u32,
+        inner: u32,
+        inner_quads: u32,
+        outputs: u32,
+        slices: u32,
+        slice_quads: u32,
+        weight_width: u32,
+        tiles: u32,
+        relu: u32,
+        zero: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "linear/gemm",
+    source: include_str!("../../../wgsl/linear/gemm.wgsl"),
+    params: PARAMS,
+};
+
+/// Rows that one workgroup computes.
+const ROWS: usize = 16;
+/// Outputs that one invocation computes.
+const OUTPUTS: usize = 4;
+/// Invocations of a workgroup of `finish`.
+const FINISH: u32 = 64;
+
+fn variant(lanes: u32, inner: usize) -> Variant {
+    let variant = Variant::of(&[("LANES", lanes)]);
+    Lanes(Some(lanes)).variant(variant).with("ALIGNED", inner.is_multiple_of(4))
+}
+
+/// A layer cut into workgroups.
+#[derive(Clone, Copy, Debug)]
+struct Plan {
+    lanes: u32,
+    outputs: usize,
+    inner: usize,
+    /// Outputs of a workgroup, and workgroups for all.
+    tile: usize,
+    tiles: usize,
+    slices: usize,
+    slice_quads: usize,
+    /// Columns and rows of the packed weights.
+    texels: [usize; 2],
+}
+
+impl Plan {
+    /// `None` without subgroups, and for weights that fit no texture.
+    fn of(work: &Work) -> Option<Self> {
+        let lanes = Lanes::of(work.caps).0?;
+        let [outputs, inner] = [0, 1].map(|i| work.inputs[1].shape.0[i]);
+        let tile = OUTPUTS * lanes as usize;
+        let tiles = outputs.div_ceil(tile);
+        let (slices, slice_quads) = slices(inner);
+        let side = work.caps.texture_side as usize;
+        let all = tiles * tile * slices * slice_quads;
+        let width = (side / tile * tile).min(all);
+        let fits = width > 0
+            && all.div_ceil(width.max(1)) <= side
+            && tiles * slices <= MAX_WORKGROUPS as usize
+            && work.known[1]
+            && work.known[2];
+        let texels = [width, all.div_ceil(width.max(1))];
+        fits.then_some(Self { lanes, outputs, inner, tile, tiles, slices, slice_quads, texels })
+    }
+
+    /// `[O, K]` to `[tile, quad, output of the tile, 4]`, in rows of texels, with zeros up to whole
+    /// tiles, slices and rows.
+    fn pack_weight(&self, weight: &Tensor) -> Tensor {
+        let [width, height] = self.texels;
+        let quads = self.slices * self.slice_quads;
+        let mut packed = Tensor::zeros([height, width, 4]);
+        let to = packed.data_mut();
+        for (o, row) in weight.data().chunks_exact(self.inner).enumerate() {
+            let first = o / self.tile * quads * self.tile + o % self.tile;
+            for (k, value) in row.iter().enumerate() {
+                to[(first + k / 4 * self.tile) * 4 + k % 4] = *value;
+            }
+        }
+        packed
+    }
+}
+
+/// Weights are read once for sixteen rows.
+#[derive(Debug)]
+pub(in crate::kernels) struct Gemm;
+
+impl Kernel for Gemm {
+    fn id(&self) -> &'static str {
+        "linear/gemm"
+    }
+
+    fn shaders(&self, caps: &Caps) -> Vec<(&'static Shader, Variant)> {
+        let lanes = Lanes::of(caps).0;
+        lanes.iter().flat_map(|l| [4, 1].map(|inner| (&SHADER, variant(*l, inner)))).collect()
+    }
+
+    fn fits(&self, work: &Work) -> bool {
+        Plan::of(work).is_some()
+    }
+
+    fn record(
+        &self,
+        work: &Work,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let op: &Linear = work.op()?;
+        let none = || Error::tensor(op.name(), "weight", "one that fits a texture", "a larger one");
+        let plan = Plan::of(work).ok_or_else(none)?;
+        let Plan { tile, tiles, slices, slice_quads, texels: [width, height], .. } = plan;
+        let name = recording.info(inputs[1]).name.clone();
+        let rows = recording.dims(inputs[0])[0];
+        let padded = tiles * tile;
+
+        let weight = recording.weights(op.name(), inputs[1])?;
+        let spec = TensorSpec::f32([height, width, 4]);
+        let weight = weight.packed(spec, move |weight| plan.pack_weight(weight));
+        let weight = recording.constant_texture(format!("{name} (packed)"), weight);
+        let bias = recording.weights(op.name(), inputs[2])?;
+        let bias = recording.constant(format!("{name} (bias)"), bias);
+        let partials = recording.scratch("partials", TensorSpec::f32([slices, rows, padded]));
+        let given = inputs.get(3).copied();
+        let count = count_tensor(recording, given, rows);
+        let params = Params {
+            rows: rows as u32,
+            inner: plan.inner as u32,
+            inner_quads: (slices * slice_quads) as u32,
+            outputs: plan.outputs as u32,
+            slices: slices as u32,
+            slice_quads: slice_quads as u32,
+            weight_width: width as u32,
+            tiles: tiles as u32,
+            relu: u32::from(op.relu),
+            zero: 0,
+        };
+        let variant = variant(plan.lanes, plan.inner);
+
+        let layers = (tiles * slices) as u32;
+        let grid = match given {
+            None => match Grid::linear(rows, ROWS as u32) {
+                Grid::Workgroups([x, y, _]) => Grid::Workgroups([x, y, layers]),
+                other => other,
+            },
+            Some(count) => {
+                let (capacity, workgroup_size) = (rows, ROWS as u32);
+                let grid = IndirectGrid { capacity, items_per_count: 1, workgroup_size, layers };
+                Grid::Indirect(indirect_grid::scratch(&grid, recording, count)?)
+            }
+        };
+        let bindings =
+            [("count", count), ("input", inputs[0]), ("weight", weight), ("partials", partials)];
+        let partial = Dispatch::new(&SHADER, "partial", &params, &bindings, grid);
+        recording.dispatch(partial.variant(variant.clone()));
+
+        let grid = row_grid(recording, given, rows, plan.outputs, FINISH)?;
+        let bindings =
+            [("count", count), ("partials", partials), ("bias", bias), ("output", outputs[0])];
+        let finish = Dispatch::new(&SHADER, "finish", &params, &bindings, grid);
+        recording.dispatch(finish.variant(variant));
+        Ok(())
+    }
+}

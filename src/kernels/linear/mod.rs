@@ -1,0 +1,7 @@
+//! A fully connected layer.
+
+mod gemm;
+mod planar;
+
+pub(super) use gemm::Gemm;
+pub(super) use planar::Planar;

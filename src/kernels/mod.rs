@@ -174,7 +174,12 @@ static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
     ("channel_pool", &[&channel_pool::Quads, &channel_pool::Planar]),
     (
         "conv2d",
-        &[&conv2d::Direct { split: true }, &conv2d::Direct { split: false }, &conv2d::Planar],
+        &[
+            &conv2d::Direct(conv2d::Manner::Split),
+            &conv2d::Direct(conv2d::Manner::Whole),
+            &conv2d::Direct(conv2d::Manner::Alone),
+            &conv2d::Planar,
+        ],
     ),
     ("crop_resize", &[&crop_resize::Quads, &crop_resize::Planar]),
     ("decode_detections", &[&decode_detections::Planar]),

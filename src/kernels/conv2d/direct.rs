@@ -120,6 +120,17 @@ impl Form {
     }
 }
 
+/// How invocations share the work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::kernels) enum Manner {
+    /// The lanes of a subgroup read weights for each other.
+    Whole,
+    /// So, and sums are cut into parts, for adapters that a small map leaves idle.
+    Split,
+    /// Each invocation alone, for adapters without subgroups.
+    Alone,
+}
+
 /// What one invocation computes, and how many there are in a workgroup.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Tile {
@@ -130,11 +141,16 @@ struct Tile {
 }
 
 impl Tile {
-    fn of(caps: &Caps) -> Self {
-        let lanes = Lanes::of(caps);
-        match lanes.0 {
-            Some(workgroup) => Self { lanes, channels: 16, pixels: 4, workgroup },
-            None => Self { lanes, channels: 4, pixels: 8, workgroup: 32 },
+    /// `None` where the manner needs subgroups and there are none.
+    fn of(manner: Manner, caps: &Caps) -> Option<Self> {
+        match manner {
+            Manner::Alone => {
+                Some(Self { lanes: Lanes(None), channels: 4, pixels: 8, workgroup: 32 })
+            }
+            Manner::Whole | Manner::Split => {
+                let lanes = Lanes::of(caps);
+                lanes.0.map(|workgroup| Self { lanes, channels: 16, pixels: 4, workgroup })
+            }
         }
     }
 }
@@ -156,11 +172,11 @@ struct Plan {
 }
 
 impl Plan {
-    /// `None` for weights that fit no texture.
-    fn of(op: &Conv2d, work: &Work, split: bool) -> Option<Self> {
+    /// `None` for weights that fit no texture, and without the subgroups that it needs.
+    fn of(op: &Conv2d, work: &Work, manner: Manner) -> Option<Self> {
         let sizes = Sizes::of(op, work);
         let Sizes { in_c, out_c, kh, kw, out_h, out_w } = sizes;
-        let (form, tile) = (Form::of(op, in_c, kh, kw), Tile::of(work.caps));
+        let (form, tile) = (Form::of(op, in_c, kh, kw), Tile::of(manner, work.caps)?);
         let strips = u32::try_from(out_w.div_ceil(tile.pixels)).ok()?;
         let invocations = u64::from(strips) * out_h as u64;
         let across = u32::try_from(invocations.div_ceil(u64::from(tile.workgroup))).ok()?;
@@ -177,9 +193,11 @@ impl Plan {
         let blocks = u32::try_from(form.blocks(in_c)).ok()?;
         // The order of a picture's sums must not depend on the rest of its batch.
         let busy = u64::from(grid[0]) * u64::from(grid[1]);
-        let splits = match split {
-            true => u64::from(ENOUGH).div_ceil(busy).clamp(2, u64::from(MOST_SPLITS)) as u32,
-            false => 1,
+        let splits = match manner {
+            Manner::Split => {
+                u64::from(ENOUGH).div_ceil(busy).clamp(2, u64::from(MOST_SPLITS)) as u32
+            }
+            Manner::Whole | Manner::Alone => 1,
         };
         let split_blocks = blocks.div_ceil(splits);
         let splits = blocks.div_ceil(split_blocks);
@@ -215,35 +233,40 @@ fn pack_weight(weight: &Tensor, form: &Form, tile: &Tile, [width, height]: [usiz
 
 /// The definition, on maps of four channels a texel.
 #[derive(Debug)]
-pub(in crate::kernels) struct Direct {
-    /// Whether the sums are cut into parts, for adapters that a small map leaves idle.
-    pub split: bool,
-}
+pub(in crate::kernels) struct Direct(pub Manner);
 
 impl Direct {
+    fn is_split(&self) -> bool {
+        self.0 == Manner::Split
+    }
+
     fn plan(&self, work: &Work) -> Option<Plan> {
         let op: &Conv2d = work.op().ok()?;
-        let plan = Plan::of(op, work, self.split)?;
+        let plan = Plan::of(op, work, self.0)?;
         let pictures = u64::from(work.batch) * u64::from(plan.splits);
         let largest = plan.grid.into_iter().map(u64::from).chain([pictures]).max()?;
         let fits = weights_known(op, work.known)
             && work.has_quads(&work.inputs[0])
             && work.has_quads(&work.outputs[0])
             && largest <= u64::from(MAX_WORKGROUPS)
-            && (plan.splits > 1) == self.split;
+            && (plan.splits > 1) == self.is_split();
         fits.then_some(plan)
     }
 }
 
 impl Kernel for Direct {
     fn id(&self) -> &'static str {
-        if self.split { "conv2d/split" } else { "conv2d/direct" }
+        match self.0 {
+            Manner::Whole => "conv2d/direct",
+            Manner::Split => "conv2d/split",
+            Manner::Alone => "conv2d/alone",
+        }
     }
 
     fn shaders(&self, caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        let tile = Tile::of(caps);
+        let Some(tile) = Tile::of(self.0, caps) else { return Vec::new() };
         let direct = Form::all().map(|form| (&SHADER, form.variant(&tile)));
-        let join = self.split.then(|| (&join::SHADER, Variant::default()));
+        let join = self.is_split().then(|| (&join::SHADER, Variant::default()));
         direct.chain(join).collect()
     }
 
@@ -253,7 +276,8 @@ impl Kernel for Direct {
 
     fn preferred(&self, work: &Work) -> bool {
         let idle = |plan: Plan| plan.grid[0] * plan.grid[1] < ENOUGH;
-        !self.split || Lanes::of(work.caps).of_many_cores() && self.plan(work).is_some_and(idle)
+        !self.is_split()
+            || Lanes::of(work.caps).of_many_cores() && self.plan(work).is_some_and(idle)
     }
 
     fn reads(&self, work: &Work, index: usize) -> Layout {
@@ -308,8 +332,8 @@ impl Kernel for Direct {
             splits: plan.splits,
             split_blocks: plan.split_blocks,
             weight_width: width as u32,
-            has_residual: u32::from(op.residual && !self.split),
-            relu: u32::from(op.relu && !self.split),
+            has_residual: u32::from(op.residual && !self.is_split()),
+            relu: u32::from(op.relu && !self.is_split()),
             pad0: 0,
             pad1: 0,
             pad2: 0,
@@ -328,7 +352,7 @@ impl Kernel for Direct {
             ];
             Dispatch::new(&SHADER, "main", &params, &bindings, grid).variant(form.variant(&tile))
         };
-        if !self.split {
+        if !self.is_split() {
             recording.dispatch(dispatch(bias, outputs[0]));
             return Ok(());
         }
@@ -353,5 +377,71 @@ impl Kernel for Direct {
         let [_, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.shape.0[i]);
         let order = Form::of(op, in_c, kh, kw).order(in_c, kh, kw);
         op.summed(inputs, order).map(Some)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tile(channels: usize) -> Tile {
+        Tile { lanes: Lanes(None), channels, pixels: 8, workgroup: 32 }
+    }
+
+    /// 5 outputs of 6 channels by a 1 × 2 kernel in tiles of 4: output o of channel i at tap t is
+    /// 100o + 10i + t + 1.
+    #[test]
+    fn weights_lie_as_they_are_read() {
+        let weight = Tensor::from_fn([5, 6, 1, 2], |at| {
+            let (o, i, tap) = (at / 12, at / 2 % 6, at % 2);
+            (100 * o + 10 * i + tap + 1) as f32
+        });
+        let packed = pack_weight(&weight, &Form::ANY, &tile(4), [8, 4]);
+        assert_eq!(packed.dims(), [4, 8, 4]);
+        let texel = |at: usize| packed.data()[at * 4..][..4].to_vec();
+        // Tile 0, quad 0: the outputs of the first tap, then those of the second.
+        assert_eq!(texel(0), [1.0, 11.0, 21.0, 31.0]);
+        assert_eq!(texel(3), [301.0, 311.0, 321.0, 331.0]);
+        assert_eq!(texel(4), [2.0, 12.0, 22.0, 32.0]);
+        // Quad 1 has two channels; tile 1 has one output.
+        assert_eq!(texel(8), [41.0, 51.0, 0.0, 0.0]);
+        assert_eq!(texel(16), [401.0, 411.0, 421.0, 431.0]);
+        assert_eq!(texel(17), [0.0; 4]);
+        assert_eq!(texel(28), [442.0, 452.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn blocks_are_padded_with_zeros() {
+        let weight = Tensor::from_fn([1, 4, 1, 1], |_| 1.0);
+        let packed = pack_weight(&weight, &Form::ONE, &tile(4), [32, 1]);
+        let ones: Vec<usize> = (0..128).filter(|at| packed.data()[*at] != 0.0).collect();
+        assert_eq!(ones, [0, 1, 2, 3]);
+    }
+
+    #[test]
+    fn the_networks_kernels_share_their_inputs() {
+        let of = |kernel, stride, dilation, in_c| {
+            Form::of(&Conv2d { stride, dilation, ..Conv2d::default() }, in_c, kernel, kernel)
+        };
+        for (kernel, stride, dilation, in_c) in
+            [(7, 2, 1, 3), (3, 1, 1, 64), (3, 2, 1, 64), (3, 1, 2, 256)]
+        {
+            assert_eq!(of(kernel, stride, dilation, in_c).taps, kernel);
+        }
+        assert_eq!(of(7, 2, 1, 4), Form::ANY, "the form for three channels drops the fourth");
+        assert_eq!(of(1, 2, 1, 64), Form::ONE);
+        assert_eq!(of(5, 1, 1, 64), Form::ANY);
+    }
+
+    /// Cut into parts, a sum is no deeper than whole.
+    #[test]
+    fn parts_make_sums_no_deeper() {
+        for blocks in 1u32..200 {
+            for splits in 2..=MOST_SPLITS {
+                let each = blocks.div_ceil(splits);
+                let splits = blocks.div_ceil(each);
+                assert!(each - 1 + splits - 1 < blocks, "{blocks} in {splits}");
+            }
+        }
     }
 }

@@ -23,6 +23,7 @@ mod indirect_grid;
 mod linear;
 mod max_pool2d;
 mod nms;
+mod not_finite;
 mod roi_align;
 pub(crate) mod roof;
 mod scale_weights;
@@ -190,6 +191,7 @@ static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
     ("linear", &[&linear::Gemm, &linear::Planar]),
     ("max_pool2d", &[&max_pool2d::Quads, &max_pool2d::Planar]),
     ("nms", &[&nms::Planar]),
+    ("not_finite", &[&not_finite::Planar]),
     ("roi_align", &[&roi_align::Quads, &roi_align::Planar]),
     ("scale_weights", &[&scale_weights::Planar]),
     ("softmax", &[&softmax::Planar]),

@@ -23,6 +23,7 @@ mod indirect_grid;
 pub(crate) mod linear;
 mod max_pool2d;
 pub(crate) mod nms;
+pub(crate) mod not_finite;
 mod roi_align;
 mod scale_weights;
 mod softmax;
@@ -49,6 +50,7 @@ pub use indirect_grid::IndirectGrid;
 pub use linear::Linear;
 pub use max_pool2d::MaxPool2d;
 pub use nms::Nms;
+pub use not_finite::NotFinite;
 pub use op::{Entry, Op, Tolerance};
 pub use params::{Param, Params, Range, Setting, Settings};
 pub use roi_align::RoiAlign;
@@ -75,6 +77,7 @@ pub static OPS: &[&Entry] = &[
     &linear::ENTRY,
     &max_pool2d::ENTRY,
     &nms::ENTRY,
+    &not_finite::ENTRY,
     &roi_align::ENTRY,
     &scale_weights::ENTRY,
     &softmax::ENTRY,

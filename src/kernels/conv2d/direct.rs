@@ -533,7 +533,7 @@ mod tests {
             for splits in 2..=MOST_SPLITS {
                 let each = blocks.div_ceil(splits);
                 let splits = blocks.div_ceil(each);
-                assert!(each - 1 + splits - 1 <= blocks - 1, "{blocks} in {splits}");
+                assert!(each - 1 + splits - 1 < blocks, "{blocks} in {splits}");
             }
         }
     }

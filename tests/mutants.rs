@@ -191,6 +191,25 @@ const FAULTS: &[Fault] = &[
         by_hand: false,
     },
     Fault {
+        what: "infinities taken for numbers",
+        file: "not_finite",
+        changes: &[(
+            "(input[start + i] & EXPONENT) == EXPONENT",
+            "(input[start + i] & 0x7fffffffu) > EXPONENT",
+        )],
+        op: "not_finite",
+        case: "each kind of number by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "rows behind the count looked at",
+        file: "not_finite",
+        changes: &[("min(count[", "max(count[")],
+        op: "not_finite",
+        case: "two rows of three by hand",
+        by_hand: true,
+    },
+    Fault {
         what: "a mean summed by one invocation",
         file: "global_avg_pool/planar",
         changes: &[(

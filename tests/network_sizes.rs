@@ -41,6 +41,19 @@ fn every_operation_of_the_network_has_a_case_of_its_size() {
     assert!(missing.is_empty(), "no case for\n{}", missing.join("\n"));
 }
 
+/// Whether all is finite is told in a few words, not by reading back what was looked at.
+#[test]
+fn what_witnesses_say_is_short() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("weights/smrnet.safetensors");
+    let weights = Weights::open(&path).expect("the weights");
+    let thresholds = Thresholds { score: 0.05, iou: 0.5, max_detections: 100, class_mask: 3 };
+    let network = Network::new(weights, thresholds).expect("a network");
+    let words = |id| network.graph.spec(id).shape.elements();
+    let told: usize = network.witnesses.iter().map(|w| words(w.counts)).sum();
+    let seen: usize = network.witnesses.iter().map(|w| words(w.tensor)).sum();
+    assert!(seen > 90_000 && told < 32, "{told} words about {seen}");
+}
+
 /// What is left of an input in half precision; `None` if it is no float.
 fn in_half_precision(value: &Value) -> Option<Value> {
     let tensor = value.f32().ok()?;

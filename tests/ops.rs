@@ -29,6 +29,8 @@ mod linear;
 mod max_pool2d;
 #[path = "ops/nms.rs"]
 mod nms;
+#[path = "ops/not_finite.rs"]
+mod not_finite;
 #[path = "ops/roi_align.rs"]
 mod roi_align;
 #[path = "ops/scale_weights.rs"]

@@ -287,13 +287,17 @@ fn every_variant_matches_its_reference_and_pytorch() {
 }
 
 /// A weight that makes the network overflow is reported, not drawn as a box or passed over, in the
-/// backbone and in the RoI head.
+/// backbone and in the RoI head, by the first tensor that shows it.
 #[test]
 fn overflow_is_reported() {
     let bytes = std::fs::read(file("weights/smrnet.safetensors")).expect("the weights");
     let (header, metadata) = safetensors::SafeTensors::read_metadata(&bytes).expect("a header");
     // The first is just small enough to be folded into its convolution.
-    for (tensor, large) in [("backbone.bn1.weight", 1e37f32), ("roi_head.fc6.bias", 3e38)] {
+    let faults = [
+        ("backbone.bn1.weight", 1e37f32, "rpn.cls"),
+        ("roi_head.fc6.bias", 3e38, "roi_head.probabilities"),
+    ];
+    for (tensor, large, witness) in faults {
         let info = metadata.info(tensor).expect("the tensor").clone();
         assert_eq!(info.dtype, safetensors::Dtype::F32);
         let mut broken = bytes.clone();
@@ -302,11 +306,17 @@ fn overflow_is_reported() {
         for value in broken[range].chunks_exact_mut(4) {
             value.copy_from_slice(&large.to_le_bytes());
         }
-        let mut config = Config::new("unused").device(Device::Gpu(AdapterChoice::Auto));
-        config.weights = smr_gpu::WeightSource::Bytes("broken".into(), broken.into());
-        config.input_size = Some(64);
-        let detector = GpuDetector::new(config).expect("a detector");
-        let result = detector.detect(&first_sample());
-        assert!(matches!(result, Err(Error::NotFinite { .. })), "{tensor}: {result:?}");
+        for device in [Device::Gpu(AdapterChoice::Auto), Device::Cpu] {
+            let mut config = Config::new("unused").device(device);
+            config.weights = smr_gpu::WeightSource::Bytes("broken".into(), broken.clone().into());
+            config.input_size = Some(64);
+            let detector = GpuDetector::new(config).expect("a detector");
+            match detector.detect(&first_sample()) {
+                Err(Error::NotFinite { stage, count }) => {
+                    assert!(stage == witness && count > 0, "{tensor}: {count} in {stage}");
+                }
+                other => panic!("{tensor}: {other:?}"),
+            }
+        }
     }
 }

@@ -1,16 +1,15 @@
-// How many values of a tensor are infinite or NaN. By their bits: WGSL lets a compiler assume that
-// there are none. One workgroup a picture.
+// How many values of each chunk of a tensor are infinite or NaN. By their bits: WGSL lets a compiler
+// assume that there are none. A workgroup is a chunk of CHUNK elements.
 
 struct Params {
-    // Elements, in rows of so many where a count says how many rows are in use, else 0.
-    elements: u32,
+    // Rows, of which a count says how many are in use, and elements of a row.
+    rows: u32,
     row_elements: u32,
+    chunks: u32,
     // Elements of a picture of each buffer.
     input_stride: u32,
     count_stride: u32,
     output_stride: u32,
-    // Where in a picture of the output the number goes.
-    witness: u32,
     pad0: u32,
     pad1: u32,
 }
@@ -28,26 +27,28 @@ var<workgroup> total: atomic<u32>;
 @compute @workgroup_size(LANES)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
+    let chunk = workgroup.y * workgroups.x + workgroup.x;
+    if chunk >= params.chunks {
+        return;
+    }
     if lane == 0u {
         atomicStore(&total, 0u);
     }
     workgroupBarrier();
-    var live = params.elements;
-    if params.row_elements != 0u {
-        // As many rows as fit, whatever the count says; no product can wrap.
-        let rows = params.elements / params.row_elements;
-        live = min(count[workgroup.z * params.count_stride], rows) * params.row_elements;
-    }
-    let first = workgroup.z * params.input_stride;
+    let live = min(count[workgroup.z * params.count_stride], params.rows) * params.row_elements;
+    let first = chunk * CHUNK;
+    let length = min(max(live, first) - first, CHUNK);
+    let start = workgroup.z * params.input_stride + first;
     var found = 0u;
-    for (var i = lane; i < live; i += LANES) {
-        found += select(0u, 1u, (input[first + i] & EXPONENT) == EXPONENT);
+    for (var i = lane; i < length; i += LANES) {
+        found += select(0u, 1u, (input[start + i] & EXPONENT) == EXPONENT);
     }
     atomicAdd(&total, found);
     workgroupBarrier();
     if lane == 0u {
-        output[workgroup.z * params.output_stride + params.witness] = atomicLoad(&total);
+        output[workgroup.z * params.output_stride + chunk] = atomicLoad(&total);
     }
 }

@@ -115,17 +115,11 @@ fn count_of(network: &Network, values: &Values, id: TensorId) -> Result<u32> {
     Ok(value(network, values, id)?.u32()?.data().first().copied().unwrap_or(0))
 }
 
-/// Looks for values that are not finite in what each head gave: NaN stays NaN from where it arises
-/// to these, while comparisons behind them would only drop it.
+/// Names the first tensor in which the network found values that are not finite.
 fn check_finite(network: &Network, values: &Values) -> Result<()> {
-    let proposals = count_of(network, values, network.proposal_count)? as usize;
     for witness in &network.witnesses {
-        let tensor = value(network, values, witness.tensor)?.f32()?;
-        let live = match witness.by_proposal {
-            true => proposals * tensor.dims().iter().skip(1).product::<usize>(),
-            false => tensor.data().len(),
-        };
-        let count = tensor.data().iter().take(live).filter(|v| !v.is_finite()).count() as u64;
+        let counts = value(network, values, witness.counts)?.u32()?;
+        let count = counts.data().iter().map(|n| u64::from(*n)).sum();
         if count > 0 {
             let stage = network.graph.name(witness.tensor).into();
             return Err(Error::NotFinite { stage, count });

@@ -12,55 +12,15 @@ use rayon::prelude::*;
 use super::conv2d::{Epilogue, MapShape};
 use super::gemm::{multiply, order, vectorised};
 use crate::ops::Conv2d;
-use crate::ops::bounds::SumOrder;
+use crate::ops::winograd::{IN, OUT, POINTS, error_bound, point_weight};
 use crate::tensor::Tensor;
 
-/// Outputs on each side of a tile.
-const OUT: usize = 4;
-/// Inputs on each side of a tile, and points.
-const IN: usize = 6;
-/// Products a tile and channel.
-const POINTS: usize = IN * IN;
 /// Channels that are transformed together.
 const LANES: usize = 16;
 /// Pixels below which the transformed weights, four times as many, cost more than they save.
 const LEAST_PIXELS: usize = 256;
 /// Tiles that a thread transforms, multiplies and transforms back while they are in its cache.
 const BLOCK: usize = 32;
-
-const G: [[f64; 3]; IN] = [
-    [1.0 / 4.0, 0.0, 0.0],
-    [-1.0 / 6.0, -1.0 / 6.0, -1.0 / 6.0],
-    [-1.0 / 6.0, 1.0 / 6.0, -1.0 / 6.0],
-    [1.0 / 24.0, 1.0 / 12.0, 1.0 / 6.0],
-    [1.0 / 24.0, -1.0 / 12.0, 1.0 / 6.0],
-    [0.0, 0.0, 1.0],
-];
-
-/// Absolute values of Bᵀ, the input's transform.
-const B: [[f64; IN]; IN] = [
-    [4.0, 0.0, 5.0, 0.0, 1.0, 0.0],
-    [0.0, 4.0, 4.0, 1.0, 1.0, 0.0],
-    [0.0, 4.0, 4.0, 1.0, 1.0, 0.0],
-    [0.0, 2.0, 1.0, 2.0, 1.0, 0.0],
-    [0.0, 2.0, 1.0, 2.0, 1.0, 0.0],
-    [0.0, 4.0, 0.0, 5.0, 0.0, 1.0],
-];
-
-/// Absolute values of Aᵀ, the output's transform.
-const A: [[f64; IN]; OUT] = [
-    [1.0, 1.0, 1.0, 1.0, 1.0, 0.0],
-    [0.0, 1.0, 1.0, 2.0, 2.0, 0.0],
-    [0.0, 1.0, 1.0, 4.0, 4.0, 0.0],
-    [0.0, 1.0, 1.0, 8.0, 8.0, 1.0],
-];
-
-/// T m Tᵀ.
-fn both_sides<const R: usize>(t: &[[f64; IN]; R], m: &[[f64; IN]; IN]) -> [[f64; R]; R] {
-    let dot = |a: &[f64; IN], b: [f64; IN]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let half: [[f64; IN]; R] = from_fn(|r| from_fn(|x| dot(&t[r], from_fn(|y| m[y][x]))));
-    from_fn(|r| from_fn(|c| dot(&t[c], half[r])))
-}
 
 type Lanes = [f32; LANES];
 
@@ -86,12 +46,10 @@ impl Winograd {
         let MapShape { in_c, out_c, .. } = shape;
         let mut packed = vec![0.0; POINTS * in_c * out_c];
         packed.par_chunks_mut(in_c * out_c).enumerate().for_each(|(point, packed)| {
-            let (row, column) = (G[point / IN], G[point % IN]);
             for (at, to) in packed.iter_mut().enumerate() {
                 let (i, o) = (at / out_c, at % out_c);
                 let taps = &weight.data()[(o * in_c + i) * 9..][..9];
-                let terms = (0..9).map(|t| row[t / 3] * column[t % 3] * f64::from(taps[t]));
-                *to = terms.sum::<f64>() as f32;
+                *to = point_weight(taps, point);
             }
         });
         Self { shape, weight: packed }
@@ -99,60 +57,15 @@ impl Winograd {
 
     /// How far each output may be from the definition's, `[O, H, W]`, for absolute values of the
     /// inputs `[I, H, W]`.
-    ///
-    /// Each product passes the input's transform in two steps of at most 4 roundings, the rounding of
-    /// its weight, its own and those of the sum over channels, the output's transform in two steps of
-    /// at most 6, and the epilogue. So the error is at most γ of these times what the same algorithm
-    /// gives for absolute values of everything, constants too (Barabasz, Anderson, Soodhalter and
-    /// Gregg, "Error Analysis and Improving the Accuracy of Winograd Convolution for Deep Neural
-    /// Networks", 2020, §4).
     pub fn tolerance(
         &self,
         input: &Tensor,
         bias: Option<&Tensor>,
         residual: Option<&Tensor>,
     ) -> Vec<f64> {
-        let MapShape { in_c, in_h, in_w, out_c, out_h, out_w, .. } = self.shape;
-        let (tile_rows, tile_columns) = self.tiles();
-        let around = SumOrder { more: 2 * 4 + 1 + 2 * 6 + 2, ..order(in_c) };
-        let mut errors = vec![0.0; out_c * out_h * out_w];
-        for tile in 0..tile_rows * tile_columns {
-            let (top, left) = (tile / tile_columns * OUT, tile % tile_columns * OUT);
-            let mut products = vec![0.0; POINTS * out_c];
-            for i in 0..in_c {
-                let mut d = [[0.0; IN]; IN];
-                for (y, row) in d.iter_mut().enumerate() {
-                    for (x, d) in row.iter_mut().enumerate() {
-                        let (y, x) = ((top + y).wrapping_sub(1), (left + x).wrapping_sub(1));
-                        if y < in_h && x < in_w {
-                            *d = f64::from(input.data()[(i * in_h + y) * in_w + x]);
-                        }
-                    }
-                }
-                let points = both_sides(&B, &d);
-                for (point, value) in points.as_flattened().iter().enumerate() {
-                    let weights = &self.weight[(point * in_c + i) * out_c..][..out_c];
-                    let sums = &mut products[point * out_c..][..out_c];
-                    for (sum, weight) in sums.iter_mut().zip(weights) {
-                        *sum += value * f64::from(weight.abs());
-                    }
-                }
-            }
-            for o in 0..out_c {
-                let m = from_fn(|y| from_fn(|x| products[(y * IN + x) * out_c + o]));
-                for (y, row) in both_sides(&A, &m).iter().enumerate() {
-                    for (x, sum) in row.iter().enumerate() {
-                        if top + y < out_h && left + x < out_w {
-                            let at = (o * out_h + top + y) * out_w + left + x;
-                            let added = bias.map_or(0.0, |b| b.data()[o])
-                                + residual.map_or(0.0, |r| r.data()[at]);
-                            errors[at] = around.error(sum + f64::from(added));
-                        }
-                    }
-                }
-            }
-        }
-        errors
+        let MapShape { in_c, out_c, .. } = self.shape;
+        let weight = |point, i, o| self.weight[(point * in_c + i) * out_c + o];
+        error_bound(input, out_c, weight, bias, residual, order(in_c))
     }
 
     fn tiles(&self) -> (usize, usize) {

@@ -23,6 +23,7 @@ mod indirect_grid;
 mod linear;
 mod max_pool2d;
 mod nms;
+mod not_finite;
 mod roi_align;
 pub(crate) mod roof;
 mod scale_weights;
@@ -173,7 +174,13 @@ static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
     ("channel_pool", &[&channel_pool::Quads, &channel_pool::Planar]),
     (
         "conv2d",
-        &[&conv2d::Direct { split: true }, &conv2d::Direct { split: false }, &conv2d::Planar],
+        &[
+            &conv2d::Direct(conv2d::Manner::Split),
+            &conv2d::Winograd,
+            &conv2d::Direct(conv2d::Manner::Whole),
+            &conv2d::Direct(conv2d::Manner::Alone),
+            &conv2d::Planar,
+        ],
     ),
     ("crop_resize", &[&crop_resize::Quads, &crop_resize::Planar]),
     ("decode_detections", &[&decode_detections::Planar]),
@@ -184,6 +191,7 @@ static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
     ("linear", &[&linear::Gemm, &linear::Planar]),
     ("max_pool2d", &[&max_pool2d::Quads, &max_pool2d::Planar]),
     ("nms", &[&nms::Planar]),
+    ("not_finite", &[&not_finite::Planar]),
     ("roi_align", &[&roi_align::Quads, &roi_align::Planar]),
     ("scale_weights", &[&scale_weights::Planar]),
     ("softmax", &[&softmax::Planar]),

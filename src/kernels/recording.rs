@@ -78,6 +78,14 @@ impl Grid {
         let x = groups.min(u64::from(MAX_WORKGROUPS));
         Self::Workgroups([x as u32, groups.div_ceil(x) as u32, 1])
     }
+
+    /// The same for each of so many pictures, one behind the other in z.
+    pub fn pictures(self, batch: u32) -> Self {
+        match self {
+            Self::Workgroups([x, y, z]) => Self::Workgroups([x, y, z * batch]),
+            indirect @ Self::Indirect(_) => indirect,
+        }
+    }
 }
 
 /// One run of a compute shader.

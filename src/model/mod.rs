@@ -17,7 +17,7 @@ use backbone::Features;
 
 use crate::error::{Error, Result};
 use crate::graph::{Graph, TensorId};
-use crate::ops::{CropResize, Nms};
+use crate::ops::{CropResize, Nms, NotFinite};
 use crate::shape::{Extent, TensorSpec};
 
 /// Pixels of the largest picture: as RGBA8 they fill the 128 MiB that every device can bind.
@@ -51,7 +51,7 @@ pub struct Network {
     pub proposals: Choice,
     /// The detections, from a box for each proposal and class.
     pub detections: Choice,
-    /// Outputs of the heads, by which a value that is not finite is noticed.
+    /// Tensors by which a value that is not finite is noticed, in the order in which they come about.
     pub witnesses: Vec<Witness>,
 }
 
@@ -83,13 +83,13 @@ pub struct Choice {
     pub kept: TensorId,
 }
 
-/// An output in which to look for values that are not finite.
+/// A tensor in which the network looks for values that are not finite.
 #[derive(Clone, Copy, Debug)]
 pub struct Witness {
-    /// The output.
+    /// The tensor.
     pub tensor: TensorId,
-    /// Whether it has a row a proposal, defined for those that there are.
-    pub by_proposal: bool,
+    /// Output: how many of its values are not finite, u32, in parts as [`NotFinite`] gives them.
+    pub counts: TensorId,
 }
 
 impl Network {
@@ -116,13 +116,20 @@ impl Network {
         let proposals = rpn::rpn(&mut graph, &mut weights, fused)?;
         let head = roi_head::roi_head(&mut graph, &mut weights, fused, proposals, thresholds)?;
         weights.finish()?;
-        let maps = proposals.maps.into_iter().chain(scales);
-        let witnesses: Vec<_> = maps
-            .map(|tensor| Witness { tensor, by_proposal: false })
-            .chain(head.rows.map(|tensor| Witness { tensor, by_proposal: true }))
-            .collect();
+        // What each head gave: NaN stays NaN from where it arises to these, while comparisons behind
+        // them would only drop it.
+        graph.begin_stage("check");
+        let maps = proposals.maps.into_iter().chain(scales).map(|tensor| (tensor, None));
+        let rows = head.rows.map(|tensor| (tensor, Some(proposals.count)));
+        let mut witnesses = Vec::new();
+        for (tensor, count) in maps.chain(rows) {
+            let name = format!("{}.not_finite", graph.name(tensor));
+            let inputs: Vec<_> = [tensor].into_iter().chain(count).collect();
+            let counts = graph.apply1(&name, NotFinite { count: count.is_some() }, &inputs)?;
+            witnesses.push(Witness { tensor, counts });
+        }
         let outputs = [head.boxes, head.scores, head.classes, head.count, proposals.count];
-        for id in outputs.into_iter().chain(witnesses.iter().map(|w| w.tensor)) {
+        for id in outputs.into_iter().chain(witnesses.iter().map(|w| w.counts)) {
             graph.mark_output(id);
         }
         Ok(Self {

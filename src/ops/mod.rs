@@ -23,6 +23,7 @@ mod indirect_grid;
 pub(crate) mod linear;
 mod max_pool2d;
 pub(crate) mod nms;
+pub(crate) mod not_finite;
 mod roi_align;
 mod scale_weights;
 mod softmax;
@@ -31,6 +32,7 @@ mod spatial_pool;
 pub(crate) mod top_k;
 mod upsample_bilinear;
 pub(crate) mod weighted_sum;
+pub(crate) mod winograd;
 
 pub use crate::cpu::Crop;
 pub use apply_gates::ApplyGates;
@@ -48,6 +50,7 @@ pub use indirect_grid::IndirectGrid;
 pub use linear::Linear;
 pub use max_pool2d::MaxPool2d;
 pub use nms::Nms;
+pub use not_finite::NotFinite;
 pub use op::{Entry, Op, Tolerance};
 pub use params::{Param, Params, Range, Setting, Settings};
 pub use roi_align::RoiAlign;
@@ -74,6 +77,7 @@ pub static OPS: &[&Entry] = &[
     &linear::ENTRY,
     &max_pool2d::ENTRY,
     &nms::ENTRY,
+    &not_finite::ENTRY,
     &roi_align::ENTRY,
     &scale_weights::ENTRY,
     &softmax::ENTRY,

@@ -34,11 +34,12 @@ struct Params {
     split_blocks: u32,
     // Columns of `weight`.
     weight_width: u32,
+    // Tiles of outputs that see the same quads of inputs, and how many those are.
+    group_tiles: u32,
+    group_quads: u32,
     has_residual: u32,
     relu: u32,
     pad0: u32,
-    pad1: u32,
-    pad2: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -174,6 +175,14 @@ fn texels(sums: Sums) -> array<vec4<f32>, 8> {
 }
 #endif
 
+// Where the quad behind another lies. Division is slow.
+fn beside(corner: vec2<u32>) -> vec2<u32> {
+    let map = params.input;
+    let x = corner.x + map.pitch;
+    let below = vec2<u32>(0u, corner.y + map.height);
+    return select(vec2<u32>(x, corner.y), below, x == map.columns * map.pitch);
+}
+
 @compute @workgroup_size(WORKGROUP)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
@@ -200,30 +209,57 @@ fn main(
     let end = min(begin + params.split_blocks, params.blocks);
     let width = params.input.width;
     let height = params.input.height;
-    let pitch = params.input.pitch;
-    let columns = params.input.columns * pitch;
-    let quads = params.input.quads;
     let step = params.step;
     let dilation = params.dilation;
 #if ANY
     let kernel_height = params.kernel_height;
     let kernel_width = params.kernel_width;
 #else
+#if POINT
+    let kernel_height = 1u;
+    let kernel_width = 1u;
+#else
     let kernel_height = KERNEL;
     let kernel_width = TAPS;
+#endif
 #endif
 
     // The taps of a row that are added together lie side by side.
     let taps = TAPS * CHANNELS;
     let taps_of_row = params.weight_width / taps;
-    let first_taps = (tile * params.blocks + begin) * QUADS * kernel_height * (kernel_width / TAPS);
+    let taps_of_block = QUADS * kernel_height * kernel_width / TAPS;
+    let first_taps = (tile * params.blocks + begin) * taps_of_block;
     var at = vec2<u32>(first_taps % taps_of_row * taps, first_taps / taps_of_row);
-    // A quad of inputs, and where it lies. Division is slow.
-    var quad = begin * QUADS;
+    // A quad of inputs, and where it lies. The last block may have fewer quads than others: it repeats
+    // the last, with weights of zero.
+    let first_quad = tile / params.group_tiles * params.group_quads;
+    let quads = first_quad + params.group_quads;
+    var quad = first_quad + begin * QUADS;
     var corner = texel(params.input, picture, quad, 0u, 0u);
     var total = Sums();
     for (var block = begin; block < end; block++) {
         var part = Sums();
+#if POINT
+        for (var i = 0u; i < QUADS / TAPS; i++) {
+            var strip: Strip;
+            for (var tap = 0u; tap < TAPS; tap++) {
+                for (var j = 0u; j < PIXELS; j++) {
+                    let in_x = left + j * step;
+                    let at_x = corner.x + min(in_x, width - 1u);
+                    let x = textureLoad(input, vec2<u32>(at_x, corner.y + min(top, height - 1u)));
+                    strip[tap * PIXELS + j] = select(vec4<f32>(), x, (top < height) & (in_x < width));
+                }
+                quad += 1u;
+                corner = select(corner, beside(corner), quad < quads);
+            }
+            part = add_tap(part, at, lane, &strip, 0u);
+            part = add_tap(part, at + vec2<u32>(CHANNELS, 0u), lane, &strip, PIXELS);
+            part = add_tap(part, at + vec2<u32>(2u * CHANNELS, 0u), lane, &strip, 2u * PIXELS);
+            part = add_tap(part, at + vec2<u32>(3u * CHANNELS, 0u), lane, &strip, 3u * PIXELS);
+            at.x += taps;
+            at = select(at, vec2<u32>(0u, at.y + 1u), at.x == params.weight_width);
+        }
+#else
         for (var i = 0u; i < QUADS; i++) {
             for (var ky = 0u; ky < kernel_height; ky++) {
                 let in_y = top + ky * dilation;
@@ -259,13 +295,10 @@ fn main(
                 }
 #endif
             }
-            // The last block may have fewer quads: it repeats the last, with weights of zero.
             quad += 1u;
-            let beside = corner.x + pitch;
-            let below = vec2<u32>(0u, corner.y + height);
-            let next = select(vec2<u32>(beside, corner.y), below, beside == columns);
-            corner = select(corner, next, quad < quads);
+            corner = select(corner, beside(corner), quad < quads);
         }
+#endif
         total = join(total, part);
     }
 

@@ -2,9 +2,7 @@
 // Windows are cut at the picture's edges, which is the same as padding with minus infinity; none is
 // empty as padding is at most half the kernel.
 //
-// GATED: of input * channel gate * spatial gate, with the same bits as apply_gates gives; the channels
-// are a multiple of four then. A workgroup is eight rows of two quads; an invocation goes along its
-// row in steps of eight pixels.
+// A workgroup is eight rows of two quads; an invocation goes along its row in steps of eight pixels.
 
 // include: quads
 
@@ -14,11 +12,7 @@ struct Params {
     kernel: u32,
     stride: u32,
     padding: u32,
-    channel_gate_stride: u32,
-    spatial_gate_stride: u32,
     pad0: u32,
-    pad1: u32,
-    pad2: u32,
 }
 
 const LOWEST: f32 = -0x1.fffffep+127f;
@@ -26,10 +20,6 @@ const LOWEST: f32 = -0x1.fffffep+127f;
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> input: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read_write> output: array<vec4<f32>>;
-#if GATED
-@group(0) @binding(3) var<storage, read> channel_gate: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read> spatial_gate: array<f32>;
-#endif
 
 // The pixels start..end of an axis of `length` pixels that window `i` sees.
 fn window(i: u32, length: u32) -> vec2<u32> {
@@ -68,37 +58,19 @@ fn main(
         texel_index(to, texel(to, workgroup.z, quads.x, y, 0u)),
         texel_index(to, texel(to, workgroup.z, quads.y, y, 0u)),
     );
-#if GATED
-    let gates = vec2(workgroup.z * params.channel_gate_stride / 4u) + quads;
-    let gate0 = channel_gate[gates.x];
-    let gate1 = channel_gate[gates.y];
-    let first_gate = workgroup.z * params.spatial_gate_stride + rows.x * source.width;
-#endif
     for (var x = local.x; x < to.width; x += 8u) {
         let columns = window(x, source.width);
         var largest0 = vec4(LOWEST);
         var largest1 = vec4(LOWEST);
         var row = first;
-#if GATED
-        var gate_row = first_gate;
-#endif
         for (var iy = rows.x; iy < rows.y; iy++) {
             for (var ix = columns.x; ix < columns.y; ix++) {
-#if GATED
-                let gate = spatial_gate[gate_row + ix];
-                let value0 = input[row.x + ix] * gate0 * gate;
-                let value1 = input[row.y + ix] * gate1 * gate;
-#else
                 let value0 = input[row.x + ix];
                 let value1 = input[row.y + ix];
-#endif
                 largest0 = select(largest0, value0, (value0 > largest0) | is_nan(value0));
                 largest1 = select(largest1, value1, (value1 > largest1) | is_nan(value1));
             }
             row += row_texels;
-#if GATED
-            gate_row += source.width;
-#endif
         }
         output[out_row.x + x] = largest0;
         output[out_row.y + x] = largest1;

@@ -11,7 +11,7 @@ use crate::ops::bounds::{Joined, SumOrder};
 use crate::ops::{Conv2d, Op, Tolerance};
 use crate::shader::{Shader, Variant, shader_params};
 use crate::shape::TensorSpec;
-use crate::tensor::{Tensor, Value};
+use crate::tensor::{Constant, Tensor, Value};
 
 shader_params! {
     struct Params {
@@ -28,11 +28,11 @@ shader_params! {
         splits: u32,
         split_blocks: u32,
         weight_width: u32,
+        group_tiles: u32,
+        group_quads: u32,
         has_residual: u32,
         relu: u32,
         pad0: u32,
-        pad1: u32,
-        pad2: u32,
     }
 }
 
@@ -55,7 +55,7 @@ const SHARED: [[usize; 4]; 4] = [[3, 3, 1, 1], [3, 3, 2, 1], [3, 3, 1, 2], [7, 7
 struct Form {
     /// Rows of the kernel; 0 where they may be any number.
     rows: usize,
-    /// Taps of a row that are added together.
+    /// Taps of a row that are added together; quads, for kernels of one pixel.
     taps: usize,
     /// Columns between the inputs of neighbouring outputs, as they are loaded.
     spread: usize,
@@ -70,8 +70,8 @@ struct Form {
 impl Form {
     /// A pixel at a time, for kernels of any size.
     const ANY: Self = Self { rows: 0, taps: 1, spread: 1, dilation: 1, quads: 1, three: false };
-    /// The same for kernels of one pixel.
-    const ONE: Self = Self { rows: 1, quads: 8, ..Self::ANY };
+    /// For kernels of one pixel.
+    const POINT: Self = Self { rows: 1, taps: 4, quads: 8, ..Self::ANY };
 
     fn shared([rows, taps, spread, dilation]: [usize; 4]) -> Self {
         let (quads, three) = if rows == 3 { (4, false) } else { (1, true) };
@@ -79,12 +79,12 @@ impl Form {
     }
 
     fn all() -> impl Iterator<Item = Self> {
-        SHARED.into_iter().map(Self::shared).chain([Self::ONE, Self::ANY])
+        SHARED.into_iter().map(Self::shared).chain([Self::POINT, Self::ANY])
     }
 
     fn of(op: &Conv2d, in_c: usize, kh: usize, kw: usize) -> Self {
         match [kh, kw, op.stride, op.dilation] {
-            [1, 1, ..] => Self::ONE,
+            [1, 1, ..] => Self::POINT,
             own if SHARED.contains(&own) && (kh == 3 || in_c <= 3) => Self::shared(own),
             _ => Self::ANY,
         }
@@ -96,7 +96,8 @@ impl Form {
             ("KERNEL", self.rows),
             ("TAPS", self.taps),
             ("SPREAD", self.spread),
-            ("DILATION", self.dilation),
+            // The inputs of a quad lie behind those of another.
+            ("DILATION", if self.is_point() { tile.pixels } else { self.dilation }),
             ("QUADS", self.quads),
         ];
         let constants = named.map(|(name, value)| (name, value as u32));
@@ -105,7 +106,17 @@ impl Form {
             .with("TAPS_3", self.taps == 3)
             .with("TAPS_7", self.taps == 7)
             .with("ANY", self.rows == 0)
+            .with("POINT", self.is_point())
             .with("THREE", self.three)
+    }
+
+    fn is_point(&self) -> bool {
+        self.rows == 1
+    }
+
+    /// Whether taps share the inputs between them.
+    fn shares(&self) -> bool {
+        self.rows > 1
     }
 
     fn blocks(&self, in_c: usize) -> usize {
@@ -120,6 +131,17 @@ impl Form {
     }
 }
 
+/// How invocations share the work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::kernels) enum Manner {
+    /// The lanes of a subgroup read weights for each other.
+    Whole,
+    /// So, and sums are cut into parts, for adapters that a small map leaves idle.
+    Split,
+    /// Each invocation alone, for adapters without subgroups.
+    Alone,
+}
+
 /// What one invocation computes, and how many there are in a workgroup.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Tile {
@@ -130,11 +152,16 @@ struct Tile {
 }
 
 impl Tile {
-    fn of(caps: &Caps) -> Self {
-        let lanes = Lanes::of(caps);
-        match lanes.0 {
-            Some(workgroup) => Self { lanes, channels: 16, pixels: 4, workgroup },
-            None => Self { lanes, channels: 4, pixels: 8, workgroup: 32 },
+    /// `None` where the manner needs subgroups and there are none.
+    fn of(manner: Manner, caps: &Caps) -> Option<Self> {
+        match manner {
+            Manner::Alone => {
+                Some(Self { lanes: Lanes(None), channels: 4, pixels: 8, workgroup: 32 })
+            }
+            Manner::Whole | Manner::Split => {
+                let lanes = Lanes::of(caps);
+                lanes.0.map(|workgroup| Self { lanes, channels: 16, pixels: 4, workgroup })
+            }
         }
     }
 }
@@ -155,18 +182,28 @@ struct Plan {
     split_blocks: u32,
 }
 
+/// What a plan is bound to; bias and residual are no part of it where sums are cut into parts.
+struct Bound {
+    input: TensorId,
+    weight: TensorId,
+    bias: TensorId,
+    residual: TensorId,
+    output: TensorId,
+    /// Where the output lies.
+    to: Quads,
+}
+
 impl Plan {
-    /// `None` for weights that fit no texture.
-    fn of(op: &Conv2d, work: &Work, split: bool) -> Option<Self> {
-        let sizes = Sizes::of(op, work);
+    /// `None` for weights that fit no texture, and without the subgroups that it needs.
+    fn of(op: &Conv2d, sizes: Sizes, manner: Manner, caps: &Caps) -> Option<Self> {
         let Sizes { in_c, out_c, kh, kw, out_h, out_w } = sizes;
-        let (form, tile) = (Form::of(op, in_c, kh, kw), Tile::of(work.caps));
+        let (form, tile) = (Form::of(op, in_c, kh, kw), Tile::of(manner, caps)?);
         let strips = u32::try_from(out_w.div_ceil(tile.pixels)).ok()?;
         let invocations = u64::from(strips) * out_h as u64;
         let across = u32::try_from(invocations.div_ceil(u64::from(tile.workgroup))).ok()?;
         let grid = [across, u32::try_from(out_c.div_ceil(tile.channels)).ok()?];
 
-        let side = work.caps.texture_side as usize;
+        let side = caps.texture_side as usize;
         let taps = form.taps * tile.channels;
         let all = packed_texels(&sizes, &form, &tile);
         let width = (side / taps * taps).min(all);
@@ -177,14 +214,75 @@ impl Plan {
         let blocks = u32::try_from(form.blocks(in_c)).ok()?;
         // The order of a picture's sums must not depend on the rest of its batch.
         let busy = u64::from(grid[0]) * u64::from(grid[1]);
-        let splits = match split {
-            true => u64::from(ENOUGH).div_ceil(busy).clamp(2, u64::from(MOST_SPLITS)) as u32,
-            false => 1,
+        let splits = match manner {
+            Manner::Split => {
+                u64::from(ENOUGH).div_ceil(busy).clamp(2, u64::from(MOST_SPLITS)) as u32
+            }
+            Manner::Whole | Manner::Alone => 1,
         };
         let split_blocks = blocks.div_ceil(splits);
         let splits = blocks.div_ceil(split_blocks);
         let texels = [width, all.div_ceil(width)];
         Some(Self { sizes, form, tile, strips, grid, texels, splits, split_blocks })
+    }
+
+    /// Whether the grid for so many pictures keeps to the limits of every adapter.
+    fn starts(&self, pictures: u32) -> bool {
+        let pictures = u64::from(pictures) * u64::from(self.splits);
+        let most = u64::from(MAX_WORKGROUPS);
+        self.grid.into_iter().map(u64::from).chain([pictures]).all(|n| n <= most)
+    }
+
+    fn packed(&self, recording: &mut Recording, name: &str, weight: &Constant) -> TensorId {
+        let Self { form, tile, texels: [width, height], .. } = *self;
+        let spec = TensorSpec::f32([height, width, 4]);
+        let packed = weight.packed(spec, move |w| pack_weight(w, &form, &tile, [width, height]));
+        recording.constant_texture(format!("{name} (packed)"), packed)
+    }
+
+    /// Appends the dispatch. Each of `groups` equal parts of the outputs sees its own part of the
+    /// inputs.
+    fn dispatch(
+        &self,
+        op: &Conv2d,
+        recording: &mut Recording,
+        bound: &Bound,
+        groups: u32,
+    ) -> Result<()> {
+        let Self { sizes, form, tile, grid: [across, tiles], .. } = *self;
+        let whole = self.splits == 1;
+        let input = recording.quads(bound.input)?;
+        let params = Params {
+            input,
+            output: bound.to,
+            kernel_height: sizes.kh as u32,
+            kernel_width: sizes.kw as u32,
+            stride: op.stride as u32,
+            step: if form.shares() { 1 } else { op.stride as u32 },
+            padding: op.padding as u32,
+            dilation: op.dilation as u32,
+            strips: self.strips,
+            blocks: form.blocks(sizes.in_c) as u32,
+            splits: self.splits,
+            split_blocks: self.split_blocks,
+            weight_width: self.texels[0] as u32,
+            group_tiles: tiles / groups,
+            group_quads: input.quads / groups,
+            has_residual: u32::from(op.residual && whole),
+            relu: u32::from(op.relu && whole),
+            pad0: 0,
+        };
+        let bindings = [
+            ("input", bound.input),
+            ("weight", bound.weight),
+            ("bias", bound.bias),
+            ("residual", bound.residual),
+            ("output", bound.output),
+        ];
+        let grid = Grid::Workgroups([across, tiles, recording.batch() * self.splits]);
+        let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
+        recording.dispatch(dispatch.variant(form.variant(&tile)));
+        Ok(())
     }
 }
 
@@ -215,35 +313,38 @@ fn pack_weight(weight: &Tensor, form: &Form, tile: &Tile, [width, height]: [usiz
 
 /// The definition, on maps of four channels a texel.
 #[derive(Debug)]
-pub(in crate::kernels) struct Direct {
-    /// Whether the sums are cut into parts, for adapters that a small map leaves idle.
-    pub split: bool,
-}
+pub(in crate::kernels) struct Direct(pub Manner);
 
 impl Direct {
+    fn is_split(&self) -> bool {
+        self.0 == Manner::Split
+    }
+
     fn plan(&self, work: &Work) -> Option<Plan> {
         let op: &Conv2d = work.op().ok()?;
-        let plan = Plan::of(op, work, self.split)?;
-        let pictures = u64::from(work.batch) * u64::from(plan.splits);
-        let largest = plan.grid.into_iter().map(u64::from).chain([pictures]).max()?;
+        let plan = Plan::of(op, Sizes::of(op, work), self.0, work.caps)?;
         let fits = weights_known(op, work.known)
             && work.has_quads(&work.inputs[0])
             && work.has_quads(&work.outputs[0])
-            && largest <= u64::from(MAX_WORKGROUPS)
-            && (plan.splits > 1) == self.split;
+            && plan.starts(work.batch)
+            && (plan.splits > 1) == self.is_split();
         fits.then_some(plan)
     }
 }
 
 impl Kernel for Direct {
     fn id(&self) -> &'static str {
-        if self.split { "conv2d/split" } else { "conv2d/direct" }
+        match self.0 {
+            Manner::Whole => "conv2d/direct",
+            Manner::Split => "conv2d/split",
+            Manner::Alone => "conv2d/alone",
+        }
     }
 
     fn shaders(&self, caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        let tile = Tile::of(caps);
+        let Some(tile) = Tile::of(self.0, caps) else { return Vec::new() };
         let direct = Form::all().map(|form| (&SHADER, form.variant(&tile)));
-        let join = self.split.then(|| (&join::SHADER, Variant::default()));
+        let join = self.is_split().then(|| (&join::SHADER, Variant::default()));
         direct.chain(join).collect()
     }
 
@@ -253,7 +354,8 @@ impl Kernel for Direct {
 
     fn preferred(&self, work: &Work) -> bool {
         let idle = |plan: Plan| plan.grid[0] * plan.grid[1] < ENOUGH;
-        !self.split || Lanes::of(work.caps).of_many_cores() && self.plan(work).is_some_and(idle)
+        !self.is_split()
+            || Lanes::of(work.caps).of_many_cores() && self.plan(work).is_some_and(idle)
     }
 
     fn reads(&self, work: &Work, index: usize) -> Layout {
@@ -283,61 +385,27 @@ impl Kernel for Direct {
         let op: &Conv2d = work.op()?;
         let none = || Error::tensor(op.name(), "weight", "one that fits a texture", "a larger one");
         let plan = self.plan(work).ok_or_else(none)?;
-        let Plan { sizes, form, tile, texels: [width, height], .. } = plan;
         let (&input, &weight, bias, residual) = op.split(inputs);
         let name = recording.info(weight).name.clone();
-        let spec = TensorSpec::f32([height, width, 4]);
         let weight = recording.weights(op.name(), weight)?;
-        let weight = weight.packed(spec, move |w| pack_weight(w, &form, &tile, [width, height]));
-        let weight = recording.constant_texture(format!("{name} (packed)"), weight);
-        let bias = padded_bias(op, recording, bias, sizes.out_c, tile.channels)?;
+        let weight = plan.packed(recording, &name, &weight);
+        let (out_c, tile) = (plan.sizes.out_c, plan.tile.channels);
+        let bias = padded_bias(op, recording, bias, out_c, tile)?;
         let bias = recording.constant(format!("{name} (bias)"), bias);
-        let (from, to) = (recording.quads(input)?, recording.quads(outputs[0])?);
-
-        let params = Params {
-            input: from,
-            output: to,
-            kernel_height: sizes.kh as u32,
-            kernel_width: sizes.kw as u32,
-            stride: op.stride as u32,
-            step: if form.taps > 1 { 1 } else { op.stride as u32 },
-            padding: op.padding as u32,
-            dilation: op.dilation as u32,
-            strips: plan.strips,
-            blocks: form.blocks(sizes.in_c) as u32,
-            splits: plan.splits,
-            split_blocks: plan.split_blocks,
-            weight_width: width as u32,
-            has_residual: u32::from(op.residual && !self.split),
-            relu: u32::from(op.relu && !self.split),
-            pad0: 0,
-            pad1: 0,
-            pad2: 0,
-        };
         // Any readable buffer serves where there is no residual: it is not read.
         let residual = residual.copied().unwrap_or(bias);
-        let [across, tiles] = plan.grid;
-        let grid = Grid::Workgroups([across, tiles, recording.batch() * plan.splits]);
-        let dispatch = |bias: TensorId, output: TensorId| {
-            let bindings = [
-                ("input", input),
-                ("weight", weight),
-                ("bias", bias),
-                ("residual", residual),
-                ("output", output),
-            ];
-            Dispatch::new(&SHADER, "main", &params, &bindings, grid).variant(form.variant(&tile))
-        };
-        if !self.split {
-            recording.dispatch(dispatch(bias, outputs[0]));
-            return Ok(());
+        let (to, output) = (recording.quads(outputs[0])?, outputs[0]);
+        if !self.is_split() {
+            let bound = Bound { input, weight, bias, residual, output, to };
+            return plan.dispatch(op, recording, &bound, 1);
         }
-        let zeros = Tensor::<f32>::zeros([sizes.out_c.next_multiple_of(tile.channels)]);
+        let zeros = Tensor::<f32>::zeros([out_c.next_multiple_of(tile)]);
         let zeros = recording.constant(format!("{name} (no bias)"), zeros);
         let floats = (to.bytes() / 4) as usize * plan.splits as usize;
         let parts = recording.scratch("parts", TensorSpec::f32([floats]));
-        recording.dispatch(dispatch(zeros, parts));
-        join::record(op, recording, plan.splits, [parts, bias, residual, outputs[0]], to);
+        let bound = Bound { input, weight, bias: zeros, residual, output: parts, to };
+        plan.dispatch(op, recording, &bound, 1)?;
+        join::record(op, recording, plan.splits, [parts, bias, residual, output], to);
         Ok(())
     }
 
@@ -353,5 +421,120 @@ impl Kernel for Direct {
         let [_, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.shape.0[i]);
         let order = Form::of(op, in_c, kh, kw).order(in_c, kh, kw);
         op.summed(inputs, order).map(Some)
+    }
+}
+
+/// Products of matrices side by side: each group of channels of a map by a matrix of its own.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Products {
+    plan: Plan,
+    groups: usize,
+}
+
+impl Products {
+    /// `groups` products of `in_c` to `out_c` channels for `columns` pixels. `None` where groups are no
+    /// whole tiles, or a texture is too small.
+    pub fn of(
+        groups: usize,
+        [in_c, out_c]: [usize; 2],
+        columns: usize,
+        caps: &Caps,
+        batch: u32,
+    ) -> Option<Self> {
+        let out_c_all = groups * out_c;
+        let sizes = Sizes { in_c, out_c: out_c_all, kh: 1, kw: 1, out_h: 1, out_w: columns };
+        let plan = Plan::of(&Conv2d::default(), sizes, Manner::Whole, caps)?;
+        let whole = in_c.is_multiple_of(4) && out_c.is_multiple_of(plan.tile.channels);
+        let maps = [in_c, out_c].map(|c| TensorSpec::f32([groups * c, 1, columns]));
+        let fit = maps.iter().all(|map| Quads::of(map, batch, caps).is_some());
+        (whole && fit && plan.starts(batch)).then_some(Self { plan, groups })
+    }
+
+    /// The order of its sums over channels.
+    pub fn order(in_c: usize) -> SumOrder {
+        Form::POINT.order(in_c, 1, 1)
+    }
+
+    /// Appends the products of `input` `[groups · I, 1, columns]` and `weight` `[groups · O, I, 1, 1]`.
+    pub fn record(
+        &self,
+        recording: &mut Recording,
+        name: &str,
+        input: TensorId,
+        weight: &Constant,
+        output: TensorId,
+    ) -> Result<()> {
+        let weight = self.plan.packed(recording, name, weight);
+        let zeros = Tensor::<f32>::zeros([self.plan.sizes.out_c]);
+        let bias = recording.constant(format!("{name} (no bias)"), zeros);
+        let to = recording.quads(output)?;
+        let bound = Bound { input, weight, bias, residual: bias, output, to };
+        self.plan.dispatch(&Conv2d::default(), recording, &bound, self.groups as u32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tile(channels: usize) -> Tile {
+        Tile { lanes: Lanes(None), channels, pixels: 8, workgroup: 32 }
+    }
+
+    /// 5 outputs of 6 channels by a 1 × 2 kernel in tiles of 4: output o of channel i at tap t is
+    /// 100o + 10i + t + 1.
+    #[test]
+    fn weights_lie_as_they_are_read() {
+        let weight = Tensor::from_fn([5, 6, 1, 2], |at| {
+            let (o, i, tap) = (at / 12, at / 2 % 6, at % 2);
+            (100 * o + 10 * i + tap + 1) as f32
+        });
+        let packed = pack_weight(&weight, &Form::ANY, &tile(4), [8, 4]);
+        assert_eq!(packed.dims(), [4, 8, 4]);
+        let texel = |at: usize| packed.data()[at * 4..][..4].to_vec();
+        // Tile 0, quad 0: the outputs of the first tap, then those of the second.
+        assert_eq!(texel(0), [1.0, 11.0, 21.0, 31.0]);
+        assert_eq!(texel(3), [301.0, 311.0, 321.0, 331.0]);
+        assert_eq!(texel(4), [2.0, 12.0, 22.0, 32.0]);
+        // Quad 1 has two channels; tile 1 has one output.
+        assert_eq!(texel(8), [41.0, 51.0, 0.0, 0.0]);
+        assert_eq!(texel(16), [401.0, 411.0, 421.0, 431.0]);
+        assert_eq!(texel(17), [0.0; 4]);
+        assert_eq!(texel(28), [442.0, 452.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn blocks_are_padded_with_zeros() {
+        let weight = Tensor::from_fn([1, 4, 1, 1], |_| 1.0);
+        let packed = pack_weight(&weight, &Form::POINT, &tile(4), [32, 1]);
+        let ones: Vec<usize> = (0..128).filter(|at| packed.data()[*at] != 0.0).collect();
+        assert_eq!(ones, [0, 1, 2, 3]);
+    }
+
+    #[test]
+    fn the_networks_kernels_share_their_inputs() {
+        let of = |kernel, stride, dilation, in_c| {
+            Form::of(&Conv2d { stride, dilation, ..Conv2d::default() }, in_c, kernel, kernel)
+        };
+        for (kernel, stride, dilation, in_c) in
+            [(7, 2, 1, 3), (3, 1, 1, 64), (3, 2, 1, 64), (3, 1, 2, 256)]
+        {
+            assert_eq!(of(kernel, stride, dilation, in_c).taps, kernel);
+        }
+        assert_eq!(of(7, 2, 1, 4), Form::ANY, "the form for three channels drops the fourth");
+        assert_eq!(of(1, 2, 1, 64), Form::POINT);
+        assert_eq!(of(5, 1, 1, 64), Form::ANY);
+    }
+
+    /// Cut into parts, a sum is no deeper than whole.
+    #[test]
+    fn parts_make_sums_no_deeper() {
+        for blocks in 1u32..200 {
+            for splits in 2..=MOST_SPLITS {
+                let each = blocks.div_ceil(splits);
+                let splits = blocks.div_ceil(each);
+                assert!(each - 1 + splits - 1 < blocks, "{blocks} in {splits}");
+            }
+        }
     }
 }

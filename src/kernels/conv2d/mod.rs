@@ -3,16 +3,16 @@
 mod direct;
 mod join;
 mod planar;
+mod winograd;
 
-pub(super) use direct::Direct;
+pub(super) use direct::{Direct, Manner};
 pub(super) use planar::Planar;
+pub(super) use winograd::Winograd;
 
 use crate::error::Result;
 use crate::graph::TensorId;
-use crate::kernels::Recording;
-use crate::kernels::Work;
-use crate::ops::Conv2d;
-use crate::ops::Op;
+use crate::kernels::{Recording, Work};
+use crate::ops::{Conv2d, Op};
 use crate::shape::TensorSpec;
 use crate::tensor::{Constant, Tensor};
 

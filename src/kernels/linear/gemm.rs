@@ -179,3 +179,35 @@ impl Kernel for Gemm {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 33 outputs of 5 inputs for 8 lanes: output o of input k is 10o + k + 1.
+    #[test]
+    fn weights_lie_as_they_are_read() {
+        let (slices, slice_quads) = slices(5);
+        let plan = Plan {
+            lanes: 8,
+            outputs: 33,
+            inner: 5,
+            tile: 32,
+            tiles: 2,
+            slices,
+            slice_quads,
+            texels: [64, slice_quads],
+        };
+        assert_eq!(slices, 1);
+        let weight = Tensor::from_fn([33, 5], |at| (at / 5 * 10 + at % 5 + 1) as f32);
+        let packed = plan.pack_weight(&weight);
+        let texel = |at: usize| packed.data()[at * 4..][..4].to_vec();
+        assert_eq!(texel(0), [1.0, 2.0, 3.0, 4.0]);
+        assert_eq!(texel(31), [311.0, 312.0, 313.0, 314.0]);
+        assert_eq!(texel(32), [5.0, 0.0, 0.0, 0.0]);
+        assert_eq!(texel(64), [0.0; 4]);
+        let second = 32 * slice_quads;
+        assert_eq!(texel(second), [321.0, 322.0, 323.0, 324.0]);
+        assert_eq!(texel(second + 1), [0.0; 4]);
+    }
+}

@@ -13,11 +13,7 @@ shader_params! {
         kernel: u32,
         stride: u32,
         padding: u32,
-        channel_gate_stride: u32,
-        spatial_gate_stride: u32,
         pad0: u32,
-        pad1: u32,
-        pad2: u32,
     }
 }
 
@@ -71,11 +67,7 @@ impl Kernel for Quads {
             kernel: op.kernel as u32,
             stride: op.stride as u32,
             padding: op.padding as u32,
-            channel_gate_stride: 0,
-            spatial_gate_stride: 0,
             pad0: 0,
-            pad1: 0,
-            pad2: 0,
         };
         let bindings = [("input", inputs[0]), ("output", outputs[0])];
         let [down, quads] = [output.height.div_ceil(8), output.quads.div_ceil(2)];

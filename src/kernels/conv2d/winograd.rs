@@ -1,0 +1,223 @@
+//! By Winograd's F(4 × 4, 3 × 3), in three passes: a quarter of the products.
+
+use super::direct::Products;
+use super::{Sizes, padded_bias, weights_known};
+use crate::error::{Error, Result};
+use crate::graph::TensorId;
+use crate::kernels::{
+    Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Quads, Recording, Work,
+};
+use crate::ops::bounds::magnitude;
+use crate::ops::winograd::{OUT, POINTS, error_bound, point_weight};
+use crate::ops::{Conv2d, Op, Tolerance};
+use crate::shader::{Shader, Variant, shader_params};
+use crate::shape::TensorSpec;
+use crate::tensor::{Tensor, Value};
+
+mod input {
+    use super::{Quads, Shader, shader_params};
+
+    shader_params! {
+        struct Params {
+            input: Quads,
+            points: Quads,
+            tile_columns: u32,
+            pad0: u32,
+            pad1: u32,
+            pad2: u32,
+        }
+    }
+
+    pub static SHADER: Shader = Shader {
+        stem: "conv2d/winograd_input",
+        source: include_str!("../../../wgsl/conv2d/winograd_input.wgsl"),
+        params: PARAMS,
+    };
+
+    pub fn params(input: Quads, points: Quads, tile_columns: u32) -> impl bytemuck::NoUninit {
+        Params { input, points, tile_columns, pad0: 0, pad1: 0, pad2: 0 }
+    }
+}
+
+mod output {
+    use super::{Conv2d, Quads, Shader, shader_params};
+
+    shader_params! {
+        struct Params {
+            points: Quads,
+            output: Quads,
+            tile_columns: u32,
+            has_residual: u32,
+            relu: u32,
+            pad0: u32,
+        }
+    }
+
+    pub static SHADER: Shader = Shader {
+        stem: "conv2d/winograd_output",
+        source: include_str!("../../../wgsl/conv2d/winograd_output.wgsl"),
+        params: PARAMS,
+    };
+
+    pub fn params(
+        op: &Conv2d,
+        points: Quads,
+        output: Quads,
+        tile_columns: u32,
+    ) -> impl bytemuck::NoUninit {
+        let [has_residual, relu] = [op.residual, op.relu].map(u32::from);
+        Params { points, output, tile_columns, has_residual, relu, pad0: 0 }
+    }
+}
+
+/// Invocations of a workgroup of the first and the last pass, each with a tile.
+const WORKGROUP: usize = 16;
+/// Where it pays: fewest channels in and out, and fewest tiles.
+const LEAST_CHANNELS: usize = 128;
+const LEAST_TILES: usize = 20;
+
+/// Transformed tiles, and a product for each of their points.
+#[derive(Debug)]
+pub(in crate::kernels) struct Winograd;
+
+/// A convolution cut into tiles.
+#[derive(Clone, Copy, Debug)]
+struct Plan {
+    sizes: Sizes,
+    tile_columns: usize,
+    tiles: usize,
+    products: Products,
+}
+
+impl Plan {
+    fn of(work: &Work) -> Option<Self> {
+        let op: &Conv2d = work.op().ok()?;
+        let sizes = Sizes::of(op, work);
+        let Sizes { in_c, out_c, kh, kw, out_h, out_w } = sizes;
+        let tile_columns = out_w.div_ceil(OUT);
+        let tiles = out_h.div_ceil(OUT) * tile_columns;
+        let same = [kh, kw, op.stride, op.padding, op.dilation] == [3, 3, 1, 1, 1];
+        let fits = same
+            && weights_known(op, work.known)
+            && work.has_quads(&work.inputs[0])
+            && work.has_quads(&work.outputs[0])
+            && tiles.div_ceil(WORKGROUP) <= MAX_WORKGROUPS as usize;
+        let products = Products::of(POINTS, [in_c, out_c], tiles, work.caps, work.batch)?;
+        fits.then_some(Self { sizes, tile_columns, tiles, products })
+    }
+}
+
+impl Kernel for Winograd {
+    fn id(&self) -> &'static str {
+        "conv2d/winograd"
+    }
+
+    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
+        // Its products are dispatches of `conv2d/direct`.
+        [&input::SHADER, &output::SHADER].map(|shader| (shader, Variant::default())).into()
+    }
+
+    fn fits(&self, work: &Work) -> bool {
+        Plan::of(work).is_some()
+    }
+
+    fn preferred(&self, work: &Work) -> bool {
+        Plan::of(work).is_some_and(|plan| {
+            let Sizes { in_c, out_c, .. } = plan.sizes;
+            in_c.min(out_c) >= LEAST_CHANNELS && plan.tiles >= LEAST_TILES
+        })
+    }
+
+    fn reads(&self, work: &Work, index: usize) -> Layout {
+        match (index, work.inputs[index].shape.rank()) {
+            (0, _) => Layout::Texture,
+            // The residual; weights are repacked.
+            (_, 3) => Layout::Quads,
+            _ => Layout::Planar,
+        }
+    }
+
+    fn writes(&self, _work: &Work) -> Layout {
+        Layout::Quads
+    }
+
+    fn batched(&self) -> bool {
+        true
+    }
+
+    fn record(
+        &self,
+        work: &Work,
+        recording: &mut Recording,
+        inputs: &[TensorId],
+        outputs: &[TensorId],
+    ) -> Result<()> {
+        let op: &Conv2d = work.op()?;
+        let none = || Error::tensor(op.name(), "weight", "one that fits a texture", "a larger one");
+        let plan = Plan::of(work).ok_or_else(none)?;
+        let Sizes { in_c, out_c, .. } = plan.sizes;
+        let (&input, &weight, bias, residual) = op.split(inputs);
+        let name = recording.info(weight).name.clone();
+        let spec = TensorSpec::f32([POINTS * out_c, in_c, 1, 1]);
+        let weight = recording.weights(op.name(), weight)?.packed(spec, transform_weight);
+        let bias = padded_bias(op, recording, bias, out_c, 4)?;
+        let bias = recording.constant(format!("{name} (bias)"), bias);
+
+        let before = TensorSpec::f32([POINTS * in_c, 1, plan.tiles]);
+        let after = TensorSpec::f32([POINTS * out_c, 1, plan.tiles]);
+        let written = recording.map("points", before.clone(), Layout::Quads)?;
+        let read = recording.map("points", before, Layout::Texture)?;
+        let sums = recording.map("points (sums)", after, Layout::Quads)?;
+        let across = plan.tiles.div_ceil(WORKGROUP) as u32;
+        let columns = plan.tile_columns as u32;
+        let batch = recording.batch();
+
+        let from = recording.quads(input)?;
+        let params = input::params(from, recording.quads(written)?, columns);
+        let bindings = [("input", input), ("points", written)];
+        let grid = Grid::Workgroups([across, from.quads, batch]);
+        recording.dispatch(Dispatch::new(&input::SHADER, "main", &params, &bindings, grid));
+        recording.copy(written, read);
+
+        plan.products.record(recording, &name, read, &weight, sums)?;
+
+        let to = recording.quads(outputs[0])?;
+        let params = output::params(op, recording.quads(sums)?, to, columns);
+        // Any readable buffer serves where there is no residual: it is not read.
+        let residual = residual.copied().unwrap_or(bias);
+        let bindings =
+            [("points", sums), ("bias", bias), ("residual", residual), ("output", outputs[0])];
+        let grid = Grid::Workgroups([across, to.quads, batch]);
+        recording.dispatch(Dispatch::new(&output::SHADER, "main", &params, &bindings, grid));
+        Ok(())
+    }
+
+    fn tolerance(
+        &self,
+        op: &dyn Op,
+        inputs: &[&Value],
+        _reference: &[Value],
+    ) -> Result<Option<Vec<Tolerance>>> {
+        let any: &dyn std::any::Any = op;
+        let Some(op) = any.downcast_ref::<Conv2d>() else { return Ok(None) };
+        let (input, weight, bias, residual) = op.split(inputs);
+        let weight = weight.f32()?;
+        let [out_c, in_c] = [0, 1].map(|i| weight.dims()[i]);
+        let bias = bias.map(|v| magnitude(v)).transpose()?;
+        let residual = residual.map(|v| magnitude(v)).transpose()?;
+        let points = transform_weight(weight);
+        let at = |point: usize, i: usize, o: usize| points.data()[(point * out_c + o) * in_c + i];
+        let (input, order) = (magnitude(input)?, Products::order(in_c));
+        let errors = error_bound(&input, out_c, at, bias.as_ref(), residual.as_ref(), order);
+        Ok(Some(vec![Tolerance::Each(errors)]))
+    }
+}
+
+/// `[O, I, 3, 3]` to `[36 · O, I, 1, 1]`.
+fn transform_weight(weight: &Tensor) -> Tensor {
+    let [out_c, in_c] = [0, 1].map(|i| weight.dims()[i]);
+    Tensor::from_fn([POINTS * out_c, in_c, 1, 1], |at| {
+        let (point, kernel) = (at / (out_c * in_c), at % (out_c * in_c));
+        point_weight(&weight.data()[kernel * 9..][..9], point)
+    })
+}

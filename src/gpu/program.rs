@@ -114,6 +114,13 @@ pub(super) struct Output {
 }
 
 /// A lowered graph on a device: pipelines, weights, and how a slot is laid out. Immutable.
+///
+/// Shaders run without bounds checks, so this crate alone makes one, of its own shaders; see
+/// [`Slot::of`](super::Slot::of) and [`Gpu::with_replacement`].
+///
+/// ```compile_fail,E0624
+/// let make = smr_gpu::gpu::Program::new;
+/// ```
 pub struct Program {
     pub(super) gpu: Arc<Gpu>,
     pub(super) options: ProgramOptions,

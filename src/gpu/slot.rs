@@ -519,6 +519,10 @@ impl Slot {
         }
         let output = self.read(&landing);
         self.unmap();
+        if let Err(Error::Driver { .. }) = output {
+            // A device may be lost after the map.
+            gpu.check_alive()?;
+        }
         output
     }
 

@@ -17,9 +17,9 @@ pub(super) struct Pool {
 
 #[derive(Default)]
 struct State {
-    free: Vec<Box<Slot>>,
+    free: Vec<Slot>,
     /// Slots whose run nobody waits for any more, but the device is not done with.
-    late: Vec<Box<Slot>>,
+    late: Vec<Slot>,
     /// Slots that there are, in use or not.
     count: usize,
     waiting: Vec<Waker>,
@@ -36,13 +36,13 @@ enum Turn {
 pub(super) struct Lease<'a> {
     pool: &'a Pool,
     /// `None` until it is made.
-    slot: Option<Box<Slot>>,
+    slot: Option<Slot>,
 }
 
 impl Pool {
     /// A pool of at most `most` slots, of which one is made now.
     pub async fn new(program: Arc<Program>, most: usize) -> Result<Self> {
-        let slot = Box::new(Slot::new(&program).await?);
+        let slot = Slot::new(&program).await?;
         let state = State { free: vec![slot], count: 1, ..State::default() };
         Ok(Self { program, most: most.max(1), state: Mutex::new(state) })
     }
@@ -66,8 +66,8 @@ impl Pool {
         drop(alarm);
         let mut lease = Lease { pool: self, slot: None };
         lease.slot = Some(match turn {
-            Turn::Slot(slot) => slot,
-            Turn::Make => Box::new(Slot::new(&self.program).await?),
+            Turn::Slot(slot) => *slot,
+            Turn::Make => Slot::new(&self.program).await?,
         });
         lease.recover(deadline).await?;
         Ok(lease)
@@ -81,10 +81,10 @@ impl Pool {
     ) -> Poll<Result<Turn>> {
         let mut state = self.state();
         if let Some(slot) = state.free.pop() {
-            return Poll::Ready(Ok(Turn::Slot(slot)));
+            return Poll::Ready(Ok(Turn::Slot(Box::new(slot))));
         }
-        if let Some(at) = state.late.iter().position(|slot| slot.is_free()) {
-            return Poll::Ready(Ok(Turn::Slot(state.late.swap_remove(at))));
+        if let Some(at) = state.late.iter().position(Slot::is_free) {
+            return Poll::Ready(Ok(Turn::Slot(Box::new(state.late.swap_remove(at)))));
         }
         if state.count < self.most {
             state.count += 1;

@@ -552,7 +552,7 @@ impl Gpu {
         };
         std::thread::scope(|scope| {
             let cores = std::thread::available_parallelism().map_or(1, usize::from);
-            let threads: Vec<_> = (0..cores).map(|_| scope.spawn(&compile)).collect();
+            let threads: Vec<_> = (0..cores).map(|_| scope.spawn(compile)).collect();
             let result = meanwhile();
             for thread in threads {
                 match thread.join() {

@@ -205,8 +205,14 @@ impl Kernel for Winograd {
         let [out_c, in_c] = [0, 1].map(|i| weight.dims()[i]);
         let bias = bias.map(|v| magnitude(v)).transpose()?;
         let residual = residual.map(|v| magnitude(v)).transpose()?;
-        let points = transform_weight(weight);
-        let at = |point: usize, i: usize, o: usize| points.data()[(point * out_c + o) * in_c + i];
+        // By input channel first, as the bound reads them.
+        let points: Vec<f32> = (0..POINTS * in_c * out_c)
+            .map(|at| {
+                let (point, i, o) = (at / (in_c * out_c), at / out_c % in_c, at % out_c);
+                point_weight(&weight.data()[(o * in_c + i) * 9..][..9], point)
+            })
+            .collect();
+        let at = |point: usize, i: usize, o: usize| points[(point * in_c + i) * out_c + o];
         let (input, order) = (magnitude(input)?, Products::order(in_c));
         let errors = error_bound(&input, out_c, at, bias.as_ref(), residual.as_ref(), order);
         Ok(Some(vec![Tolerance::Each(errors)]))
@@ -220,4 +226,24 @@ fn transform_weight(weight: &Tensor) -> Tensor {
         let (point, kernel) = (at / (out_c * in_c), at % (out_c * in_c));
         point_weight(&weight.data()[kernel * 9..][..9], point)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of a kernel of ones in the middle alone, G g Gᵀ is G's middle column times itself.
+    #[test]
+    fn weights_lie_point_by_point() {
+        let middle = [0.0, -1.0 / 6.0, 1.0 / 6.0, 1.0 / 12.0, -1.0 / 12.0, 0.0];
+        let weight =
+            Tensor::from_fn([2, 3, 3, 3], |at| if at % 9 == 4 { (at / 9 + 1) as f32 } else { 0.0 });
+        let points = transform_weight(&weight);
+        assert_eq!(points.dims(), [72, 3, 1, 1]);
+        for (at, value) in points.data().iter().enumerate() {
+            let (point, kernel) = (at / 6, at % 6);
+            let expected = middle[point / 6] * middle[point % 6] * (kernel + 1) as f64;
+            assert!((f64::from(*value) - expected).abs() < 1e-7, "{point} of {kernel}");
+        }
+    }
 }

@@ -88,7 +88,7 @@ fn main(
         var row = vec3<f32>(0.0);
         for (var i = columns.first; i < columns.end; i++) {
             // Nor is anything read outside the picture's buffer, whatever the corner says.
-            let packed = picture[min(start + i, params.capacity - 1u)];
+            let packed = picture[min(start + i, arrayLength(&picture) - 1u)];
             let rgb = vec3<u32>(packed & 255u, (packed >> 8u) & 255u, (packed >> 16u) & 255u);
             row = fma(vec3<f32>(weight(columns, i)), vec3<f32>(rgb) - shift, row);
         }

@@ -249,6 +249,25 @@ fn cases() -> Vec<Case> {
         )
         .by_hand(vec![tensor(&[1, 1, 3], &[0.0, f32::NAN, 0.5])]),
     );
+    // A kernel that reads a channel again, with weights of zero, makes NaN of it.
+    let map = || tensor(&[1, 1, 3], &[-1.0, f32::INFINITY, 0.5]);
+    cases.push(
+        Case::new(
+            "an infinity stays one by hand",
+            plain,
+            vec![map(), tensor(&[1, 1, 1, 1], &[2.0])],
+        )
+        .by_hand(vec![tensor(&[1, 1, 3], &[-2.0, f32::INFINITY, 1.0])]),
+    );
+    let taps = std::array::from_fn::<f32, 9, _>(|tap| (1 + tap) as f32);
+    cases.push(
+        Case::new(
+            "an infinity beside a 3 × 3 kernel by hand",
+            Conv2d { padding: 1, ..plain },
+            vec![map(), tensor(&[1, 1, 3, 3], &taps)],
+        )
+        .by_hand(vec![tensor(&[1, 1, 3], &[f32::INFINITY; 3])]),
+    );
     for (seed, [kh, kw]) in [(200, [1, 3]), (210, [3, 1]), (220, [5, 3]), (230, [2, 7])] {
         let op = Conv2d { stride: 2, padding: 3, bias: false, ..Conv2d::default() };
         let inputs =

@@ -230,8 +230,8 @@ fn main(
     let taps_of_block = QUADS * kernel_height * kernel_width / TAPS;
     let first_taps = (tile * params.blocks + begin) * taps_of_block;
     var at = vec2<u32>(first_taps % taps_of_row * taps, first_taps / taps_of_row);
-    // A quad of inputs, and where it lies. The last block may have fewer quads than others: it repeats
-    // the last, with weights of zero.
+    // A quad of inputs, and where it lies. The last block may have fewer quads than others: what is
+    // read again has weights of zero, and counts as zero lest it be infinite.
     let first_quad = tile / params.group_tiles * params.group_quads;
     let quads = first_quad + params.group_quads;
     var quad = first_quad + begin * QUADS;
@@ -243,11 +243,13 @@ fn main(
         for (var i = 0u; i < QUADS / TAPS; i++) {
             var strip: Strip;
             for (var tap = 0u; tap < TAPS; tap++) {
+                let exists = quad < quads;
                 for (var j = 0u; j < PIXELS; j++) {
                     let in_x = left + j * step;
                     let at_x = corner.x + min(in_x, width - 1u);
                     let x = textureLoad(input, vec2<u32>(at_x, corner.y + min(top, height - 1u)));
-                    strip[tap * PIXELS + j] = select(vec4<f32>(), x, (top < height) & (in_x < width));
+                    strip[tap * PIXELS + j] =
+                        select(vec4<f32>(), x, exists & (top < height) & (in_x < width));
                 }
                 quad += 1u;
                 corner = select(corner, beside(corner), quad < quads);
@@ -261,6 +263,7 @@ fn main(
         }
 #else
         for (var i = 0u; i < QUADS; i++) {
+            let exists = quad < quads;
             for (var ky = 0u; ky < kernel_height; ky++) {
                 let in_y = top + ky * dilation;
                 let row = corner.y + min(in_y, height - 1u);
@@ -274,7 +277,8 @@ fn main(
                     for (var j = 0u; j < SPAN; j++) {
                         let in_x = first_column + j * step;
                         let x = textureLoad(input, vec2<u32>(corner.x + min(in_x, width - 1u), row));
-                        strip[j] = select(vec4<f32>(), x, (in_y < height) & (in_x < width));
+                        strip[j] =
+                            select(vec4<f32>(), x, exists & (in_y < height) & (in_x < width));
                     }
                     part = add_tap(part, at, lane, &strip, 0u);
 #if TAPS_3

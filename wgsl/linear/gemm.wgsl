@@ -87,15 +87,13 @@ fn partial(
     let slice = workgroup.z % params.slices;
     let tile_width = 4u * LANES;
     let last_row = rows - 1u;
-    let last_quad = (params.inner - 1u) / 4u;
     let first_quad = slice * params.slice_quads;
+    let end = min(first_quad + params.slice_quads, (params.inner + 3u) / 4u);
     let first_texel = (tile * params.inner_quads + first_quad) * tile_width;
     var at = vec2<u32>(first_texel % params.weight_width + local, first_texel / params.weight_width);
     let wrap = params.weight_width + local;
     var sums = Sums();
-    for (var i = 0u; i < params.slice_quads; i++) {
-        // Quads of the last slice past the end have weights of zero.
-        let quad = min(first_quad + i, last_quad);
+    for (var quad = first_quad; quad < end; quad++) {
         let w = Four(
             textureLoad(weight, at),
             textureLoad(weight, at + vec2<u32>(LANES, 0u)),

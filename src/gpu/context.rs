@@ -250,8 +250,6 @@ impl Gpu {
             label: Some("smr-gpu"),
             required_features: adapter.features() & wanted_features(),
             required_limits: required_limits(&adapter.limits()),
-            // A few large tensors are made once: blocks for many to come would only take memory.
-            memory_hints: wgpu::MemoryHints::MemoryUsage,
             ..Default::default()
         };
         let (device, queue) =

@@ -152,15 +152,15 @@ fn cases() -> Vec<Case> {
         .by_hand(vec![values([3, 1], &[0.0, f32::NAN, 0.5])]),
         // 1 + 2 + 3: what stands behind a row is another's.
         Case::new(
-            "a row before one with a NaN by hand",
+            "a row before one with an infinity by hand",
             plain,
             vec![
-                values([2, 3], &[1.0, 2.0, 3.0, f32::NAN, 1.0, 1.0]),
+                values([2, 3], &[1.0, 2.0, 3.0, f32::INFINITY, 1.0, 1.0]),
                 values([1, 3], &[1.0; 3]),
                 values([1], &[0.0]),
             ],
         )
-        .by_hand(vec![values([2, 1], &[6.0, f32::NAN])]),
+        .by_hand(vec![values([2, 1], &[6.0, f32::INFINITY])]),
     ];
     // (name, input, outputs, count, relu)
     let sets = [

@@ -229,7 +229,11 @@ impl Program {
         guard: u64,
     ) -> Result<()> {
         let mut slots: HashMap<usize, usize> = HashMap::new();
-        for (index, info) in recording.tensors().iter().enumerate() {
+        // The largest first: what it takes to make them is not yet beside all the others.
+        let mut order: Vec<usize> = (0..recording.tensors().len()).collect();
+        order.sort_by_key(|index| std::cmp::Reverse(recording.tensors()[*index].storage.bytes()));
+        for index in order {
+            let info = &recording.tensors()[index];
             let Some(slot) = assignment.slot[index] else { continue };
             self.places[index] = Some(match &info.role {
                 Role::Constant(_) => Place::Fixed(self.upload(info, like, guard)?),

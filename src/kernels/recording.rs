@@ -40,6 +40,16 @@ pub enum Storage {
     },
 }
 
+impl Storage {
+    /// Its size in bytes.
+    pub fn bytes(&self) -> u64 {
+        match *self {
+            Self::Buffer { bytes } => bytes,
+            Self::Texture { width, height } => u64::from(width) * u64::from(height) * 16,
+        }
+    }
+}
+
 /// A tensor of a recording.
 #[derive(Clone, Debug)]
 pub struct TensorInfo {

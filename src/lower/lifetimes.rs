@@ -19,14 +19,7 @@ pub struct Assignment {
 /// another kind.
 fn growth(slot: Storage, need: Storage) -> Option<u64> {
     let grown = union(slot, need)?;
-    Some(size(grown) - size(slot))
-}
-
-fn size(storage: Storage) -> u64 {
-    match storage {
-        Storage::Buffer { bytes } => bytes,
-        Storage::Texture { width, height } => u64::from(width) * u64::from(height) * 16,
-    }
+    Some(grown.bytes() - slot.bytes())
 }
 
 /// What holds either.
@@ -61,8 +54,8 @@ pub fn assign(recording: &Recording, reuse: bool) -> Assignment {
             .iter()
             .enumerate()
             .filter_map(|(at, slot)| Some((at, growth(slots.storage[*slot], need)?, *slot)))
-            .filter(|(_, growth, _)| *growth < size(need))
-            .min_by_key(|(_, growth, slot)| (*growth, size(slots.storage[*slot])))
+            .filter(|(_, growth, _)| *growth < need.bytes())
+            .min_by_key(|(_, growth, slot)| (*growth, slots.storage[*slot].bytes()))
             .filter(|_| reuse && transient(id));
         slots.slot[id] = Some(match reusable {
             Some((at, _, slot)) => {

@@ -86,7 +86,7 @@ impl Slot {
     /// gives back the graph's outputs and the tensors in `keep`.
     ///
     /// # Errors
-    /// As [`lower`], [`Program::new`] and [`Slot::new`].
+    /// What lowering, compiling and allocating return.
     pub async fn of(
         gpu: &Arc<Gpu>,
         graph: &Graph,

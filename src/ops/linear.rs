@@ -150,17 +150,18 @@ fn cases() -> Vec<Case> {
             ],
         )
         .by_hand(vec![values([3, 1], &[0.0, f32::NAN, 0.5])]),
-        // 1 + 2 + 3: what stands behind a row is another's.
+        // 1 + 2 + 3: what stands behind a row is another's, and no zero of the padding meets what is
+        // read in its place.
         Case::new(
-            "a row before one with an infinity by hand",
+            "infinities at both ends of a row by hand",
             plain,
             vec![
-                values([2, 3], &[1.0, 2.0, 3.0, f32::INFINITY, 1.0, 1.0]),
+                values([3, 3], &[1.0, 2.0, 3.0, f32::INFINITY, 1.0, 1.0, 1.0, 1.0, f32::INFINITY]),
                 values([1, 3], &[1.0; 3]),
                 values([1], &[0.0]),
             ],
         )
-        .by_hand(vec![values([2, 1], &[6.0, f32::INFINITY])]),
+        .by_hand(vec![values([3, 1], &[6.0, f32::INFINITY, f32::INFINITY])]),
     ];
     // (name, input, outputs, count, relu)
     let sets = [

@@ -17,13 +17,15 @@ class Distiller(nn.Module):
             raise SystemExit("the teacher's classes and stride: expected the student's")
         self.project = nn.Conv2d(student.width, teacher.config.width, 1)
         # In a list, so that neither the state dict nor train() reaches it.
-        self.teachers = [teacher.eval().requires_grad_(False)]
+        self.teachers = [teacher]
 
-    def losses(self, images: Tensor, fused: Tensor, rois: list[Tensor], heads: Heads) -> dict[str, Tensor]:
+    def losses(self, images: Tensor, fused: Tensor, rois: list[Tensor], heads: Heads, wanted: Tensor | None) -> dict[str, Tensor]:
+        """`wanted` is the teacher's fused map; without it the teacher runs."""
         (teacher,) = self.teachers
         with torch.autocast(images.device.type, dtype=torch.bfloat16):
             with torch.no_grad():
-                wanted = teacher.features(images, {})
+                if wanted is None:
+                    wanted = teacher.features(images, {})
                 say = teacher.roi_head(bx.roi_align_dense(wanted, rois, 1 / teacher.config.stride), {})
             guess = self.project(fused)
         wanted = wanted.float()

@@ -37,6 +37,7 @@ def main() -> None:
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--checkpoint", type=Path)
     source.add_argument("--random", type=int, metavar="SEED", help="no training: random weights from this seed")
+    parser.add_argument("--student", action="store_true", help="the network that learnt beside the other")
     parser.add_argument("--network", choices=NETWORKS, default="large", help="of random weights")
     parser.add_argument("--statistics", nargs="+", type=Path, default=[], help="COCO folders: batch norm statistics from 400 of their pictures, for a run that has not ended")
     parser.add_argument("--no-safe", action="store_true")
@@ -46,8 +47,9 @@ def main() -> None:
     args = parser.parse_args()
     if args.checkpoint:
         state = torch.load(args.checkpoint, map_location="cpu", weights_only=True)
-        model = SmrNet(Config.from_dict(json.loads(state["config"])))
-        model.load_state_dict(state["ema"])
+        learner = state["student"] if args.student else state
+        model = SmrNet(Config.from_dict(json.loads(learner["config"])))
+        model.load_state_dict(learner["ema"])
         if args.statistics:
             chunks = [Chunk(folder, model.config.pixels_per_mm, args.checkpoint.parent / "cache") for folder in args.statistics]
             recompute_statistics(model.to(memory_format=torch.channels_last), chunks, 400, 1)

@@ -133,8 +133,10 @@ def pose_losses(heads: Heads, rois: Rois, pixels_per_mm: float) -> dict[str, Ten
 WEIGHTS = {"yaw": 0.3, "centre": 0.03, "whole": 0.1}
 
 
-def detection_losses(model: SmrNet, images: Tensor, targets: list[dict], distiller=None) -> dict[str, Tensor]:
-    """The weighted losses of a batch; the network in bfloat16 where the device gains by it, the losses in float32."""
+def detection_losses(model: SmrNet, images: Tensor, targets: list[dict], distiller=None, wanted: Tensor | None = None) -> tuple[dict[str, Tensor], Tensor]:
+    """The weighted losses of a batch, and the fused map; `wanted` is the teacher's, if it is at hand.
+
+    The network in bfloat16 where the device gains by it, the losses in float32."""
     stages: dict = {}
     with torch.autocast(images.device.type, dtype=torch.bfloat16):
         fused = model.features(images, stages)
@@ -156,5 +158,5 @@ def detection_losses(model: SmrNet, images: Tensor, targets: list[dict], distill
     if heads.pose is not None:
         losses |= pose_losses(heads, rois, model.config.pixels_per_mm)
     if distiller is not None:
-        losses |= distiller.losses(images, fused, boxes, heads)
-    return {k: WEIGHTS.get(k, 1.0) * v for k, v in losses.items()}
+        losses |= distiller.losses(images, fused, boxes, heads, wanted)
+    return {k: WEIGHTS.get(k, 1.0) * v for k, v in losses.items()}, fused

@@ -45,7 +45,7 @@ def start(data: Path, out: Path, teacher: Path) -> subprocess.Popen:
         command += ["--resume"]
     else:
         # Zero minutes between checkpoints: one after each step.
-        command += ["--data", str(data), "--network", "small", "--teacher", str(teacher), "--steps", str(STEPS), "--area", str(2 * 160 * 160)]
+        command += ["--data", str(data), "--network", "small", "--teacher", str(teacher), "--student", "small", "--steps", str(STEPS), "--area", str(2 * 160 * 160)]
         command += ["--checkpoint-minutes", "0"]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL)
 
@@ -74,10 +74,11 @@ def main() -> None:
         assert start(*runs["killed"]).wait() == 0
         one, other = (torch.load(root / name / "checkpoint.pt", weights_only=True) for name in ("whole", "killed"))
         assert one["step"] == other["step"] == STEPS
-        for part in ("model", "ema", "distiller"):
-            for name, tensor in one[part].items():
-                assert torch.equal(tensor, other[part][name]), f"{part} {name} differs"
-        print(f"{len(one['model'])} tensors, twice, and the projection: equal bits")
+        for of, (one, other) in {"": (one, other), "student ": (one["student"], other["student"])}.items():
+            for part in ("model", "ema", "distiller"):
+                for name, tensor in one[part].items():
+                    assert torch.equal(tensor, other[part][name]), f"{of}{part} {name} differs"
+        print(f"two networks of {len(one['model'])} tensors, their averages and projections: equal bits")
 
 
 if __name__ == "__main__":

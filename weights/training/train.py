@@ -14,6 +14,7 @@ import json
 import math
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 
 # Two cores shared with other work: threads that wait must sleep, not spin.
@@ -22,7 +23,7 @@ os.environ.setdefault("GOMP_SPINCOUNT", "0")
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 import weightfile
 from data import CLASSES, DIRECTED, JITTER, Chunk, Sampler, network_input, normalise
@@ -63,6 +64,56 @@ def recompute_statistics(model: SmrNet, chunks: list[Chunk], pictures: int, seed
     model.eval()
 
 
+class Learner:
+    """A network, its running average and its optimiser; `extra` is learnt with it and thrown away in the end."""
+
+    def __init__(self, config: Config, args: argparse.Namespace, device: str, extra: nn.Module | None = None):
+        self.config, self.extra = config, extra
+        self.model = SmrNet(config).to(device, memory_format=torch.channels_last)
+        self.ema = SmrNet(config).to(device, memory_format=torch.channels_last).eval()
+        self.ema.load_state_dict(self.model.state_dict())
+        parameters = [*self.model.parameters(), *(extra.parameters() if extra else [])]
+        decay, plain = [p for p in parameters if p.ndim > 1], [p for p in parameters if p.ndim <= 1]
+        groups = [{"params": decay, "weight_decay": args.weight_decay}, {"params": plain, "weight_decay": 0.0}]
+        self.optimizer = torch.optim.AdamW(groups, args.lr, betas=(0.9, 0.99), fused=True)
+
+    def learn(self, loss: Tensor, rate: float) -> float:
+        """One step of the optimiser; the gradient's norm."""
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        self.optimizer.zero_grad()
+        loss.backward()
+        norm = nn.utils.clip_grad_norm_((p for g in self.optimizer.param_groups for p in g["params"]), 10.0)
+        if torch.isfinite(norm):
+            self.optimizer.step()
+        return norm.item()
+
+    def average(self, step: int) -> None:
+        """After every EMA_EVERY-th step."""
+        keep = min(EMA_DECAY, step / (step + 50)) ** EMA_EVERY
+        average, now = self.ema.state_dict(), self.model.state_dict()
+        floats = [k for k in now if now[k].is_floating_point()]
+        torch._foreach_lerp_([average[k] for k in floats], [now[k] for k in floats], 1 - keep)
+
+    def state(self) -> dict:
+        state = {"config": json.dumps(self.config.to_dict()), "model": self.model.state_dict(), "ema": self.ema.state_dict(), "optimizer": self.optimizer.state_dict()}
+        return state | ({"distiller": self.extra.state_dict()} if self.extra else {})
+
+    def load(self, state: dict) -> None:
+        self.model.load_state_dict(state["model"])
+        self.ema.load_state_dict(state["ema"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        if self.extra:
+            self.extra.load_state_dict(state["distiller"])
+
+    def begin_with(self, init: SmrNet, file: Path) -> None:
+        """The weights of a file; those of the pose may be missing."""
+        missing, unexpected = self.model.load_state_dict(init.state_dict(), strict=False)
+        if unexpected or any(not name.startswith("roi_head.pose.") for name in missing):
+            raise SystemExit(f"{file}: missing {missing}, unexpected {unexpected}")
+        self.ema.load_state_dict(self.model.state_dict())
+
+
 class Run:
     """All that a checkpoint holds."""
 
@@ -90,27 +141,21 @@ class Run:
             time.sleep(10)
             self.find_chunks()
         torch.manual_seed(args.seed)
-        self.model = SmrNet(self.config).to(self.device, memory_format=torch.channels_last)
-        self.ema = SmrNet(self.config).to(self.device, memory_format=torch.channels_last).eval()
-        self.distiller = None
+        distiller = None
         if args.teacher:
-            self.distiller = Distiller(weightfile.load(args.teacher), self.config).to(self.device)
-        parameters = [*self.model.parameters(), *(self.distiller.parameters() if self.distiller else [])]
-        decay, plain = [p for p in parameters if p.ndim > 1], [p for p in parameters if p.ndim <= 1]
-        groups = [{"params": decay, "weight_decay": args.weight_decay}, {"params": plain, "weight_decay": 0.0}]
-        self.optimizer = torch.optim.AdamW(groups, args.lr, betas=(0.9, 0.99), fused=True)
-        if state is None:
-            if init:
-                missing, unexpected = self.model.load_state_dict(init.state_dict(), strict=False)
-                if unexpected or any(not name.startswith("roi_head.pose.") for name in missing):
-                    raise SystemExit(f"{args.init}: missing {missing}, unexpected {unexpected}")
-            self.ema.load_state_dict(self.model.state_dict())
-        else:
-            self.model.load_state_dict(state["model"])
-            self.ema.load_state_dict(state["ema"])
-            self.optimizer.load_state_dict(state["optimizer"])
-            if self.distiller:
-                self.distiller.load_state_dict(state["distiller"])
+            teacher = weightfile.load(args.teacher).eval().requires_grad_(False)
+            distiller = Distiller(teacher, self.config).to(self.device)
+        self.learner = Learner(self.config, args, self.device, distiller)
+        if init:
+            self.learner.begin_with(init, args.init)
+        self.student = None
+        if args.student:
+            config = replace(self.config, **NETWORKS[args.student])
+            self.student = Learner(config, args, self.device, Distiller(self.learner.model, config).to(self.device))
+        if state is not None:
+            self.learner.load(state)
+            if self.student:
+                self.student.load(state["student"])
 
     def new_config(self, init: SmrNet | None) -> Config:
         """A weight file brings its own; a new network takes its widths by name and the rest from --like or the defaults."""
@@ -151,13 +196,10 @@ class Run:
             "seen": self.seen,
             "plan": self.plan,
             "timeline": self.timeline,
-            "config": json.dumps(self.config.to_dict()),
-            "model": self.model.state_dict(),
-            "ema": self.ema.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
+            **self.learner.state(),
         }
-        if self.distiller:
-            state["distiller"] = self.distiller.state_dict()
+        if self.student:
+            state["student"] = self.student.state()
         part = self.file.with_suffix(".part")
         torch.save(state, part)
         part.rename(self.file)
@@ -179,30 +221,32 @@ class Run:
         images = normalise(pixels, self.config.mean, self.config.std).to(self.device, memory_format=torch.channels_last)
         targets = [{k: v.to(self.device) for k, v in t.items()} for t in targets]
         loaded = time.process_time()
-        for group in self.optimizer.param_groups:
-            group["lr"] = self.rate()
         # The choice of anchors and proposals draws from torch's generator.
         torch.manual_seed(self.args.seed * 1_000_003 + self.step)
-        losses = detection_losses(self.model, images, targets, self.distiller)
-        self.optimizer.zero_grad()
-        sum(losses.values()).backward()
-        norm = nn.utils.clip_grad_norm_((p for g in self.optimizer.param_groups for p in g["params"]), 10.0)
-        if torch.isfinite(norm):
-            self.optimizer.step()
+        losses, fused = detection_losses(self.learner.model, images, targets, self.learner.extra)
+        report = {"norm": self.learner.learn(sum(losses.values()), self.rate())}
+        if self.student:
+            more, _ = detection_losses(self.student.model, images, targets, self.student.extra, fused.detach())
+            rate = self.rate() * self.args.student_lr / self.args.lr
+            report |= {"student_norm": self.student.learn(sum(more.values()), rate)}
+            losses |= {f"student_{k}": v for k, v in more.items()}
         self.step += 1
         self.seen += len(images)
         if self.step % EMA_EVERY == 0:
-            keep = min(EMA_DECAY, self.step / (self.step + 50)) ** EMA_EVERY
-            average, now = self.ema.state_dict(), self.model.state_dict()
-            floats = [k for k in now if now[k].is_floating_point()]
-            torch._foreach_lerp_([average[k] for k in floats], [now[k] for k in floats], 1 - keep)
+            for learner in self.learners():
+                learner.average(self.step)
         timing = {"load_s": loaded - began, "cpu_s": time.process_time() - began}
-        return {**{k: v.item() for k, v in losses.items()}, "norm": norm.item(), **timing}
+        return {**{k: v.item() for k, v in losses.items()}, **report, **timing}
+
+    def learners(self) -> list[Learner]:
+        return [self.learner, *([self.student] if self.student else [])]
 
     def validate(self, limit: int | None) -> None:
         for folder in self.args.val:
             if (folder / "annotations.json").exists():
-                self.log(f"val step {self.step} {folder.name}: {line(figures(*detect_folder(self.ema, folder, limit, self.device)))}")
+                for name, learner in zip(("", "student "), self.learners()):
+                    found = line(figures(*detect_folder(learner.ema, folder, limit, self.device)))
+                    self.log(f"val step {self.step} {name}{folder.name}: {found}")
 
 
 def arguments() -> argparse.Namespace:
@@ -218,6 +262,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--network", choices=NETWORKS, default="large", help="of a run from scratch")
     parser.add_argument("--like", type=Path, help="weight file that lends a run from scratch its anchors, mean and deviation")
     parser.add_argument("--teacher", type=Path, help="weight file of a network to learn from")
+    parser.add_argument("--student", choices=NETWORKS, help="a network that learns beside this one, on the same views, also from what this one says of them")
+    parser.add_argument("--student-lr", type=float, default=1e-3)
     parser.add_argument("--cache", type=Path)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--area", type=int, default=12 * 192 * 192, help="pixels of a batch")
@@ -257,8 +303,9 @@ def main() -> None:
     keep_memory()
     torch.set_num_threads(args.threads)
     run = Run(args)
-    run.log(f"step {run.step} of {run.steps()}, {sum(p.numel() for p in run.model.parameters()) / 1e6:.1f} M parameters, {run.config.to_dict()}")
-    run.model.train()
+    run.log(f"step {run.step} of {run.steps()}, {sum(p.numel() for p in run.learner.model.parameters()) / 1e6:.1f} M parameters, {run.config.to_dict()}")
+    for learner in run.learners():
+        learner.model.train()
     saved = validated = run.seconds
     recent: list[dict] = []
     clock = time.monotonic()
@@ -281,7 +328,8 @@ def main() -> None:
             saved = run.seconds
     run.save()
     run.log(f"done: step {run.step}, {run.seconds / 60:.1f} min, {run.seen} views")
-    recompute_statistics(run.ema, run.chunks, 400, args.seed)
+    for learner in run.learners():
+        recompute_statistics(learner.ema, run.chunks, 400, args.seed)
     run.save()
     run.validate(None)
 

@@ -54,6 +54,8 @@ pub struct Picture {
     pub file: PathBuf,
     /// Width and height in pixels, where they are stated.
     pub size: Option<(u32, u32)>,
+    /// Millimetres on the gel for a pixel, where they are stated.
+    pub mm_per_pixel: Option<f32>,
     /// What it shows.
     pub labels: Vec<Label>,
 }
@@ -82,6 +84,7 @@ struct CocoImage {
     file_name: String,
     width: Option<u32>,
     height: Option<u32>,
+    mm_per_pixel: Option<f32>,
 }
 
 #[derive(Deserialize)]
@@ -166,7 +169,7 @@ fn categories(categories: Vec<CocoCategory>) -> Result<(HashMap<u64, usize>, Vec
 fn pictures(images: Vec<CocoImage>) -> Result<Vec<Picture>, Error> {
     let mut pictures = Vec::with_capacity(images.len());
     let mut owner_of: HashMap<PathBuf, u64> = HashMap::new();
-    for CocoImage { id, file_name, width, height } in images {
+    for CocoImage { id, file_name, width, height, mm_per_pixel } in images {
         let name = format!("image {id}");
         let file = below(&file_name).ok_or_else(|| {
             Error::new(&name, "a file_name inside the folder", format!("`{file_name}`"))
@@ -182,7 +185,7 @@ fn pictures(images: Vec<CocoImage>) -> Result<Vec<Picture>, Error> {
             let expected = format!("1 to {MAX_PIXELS} pixels");
             return Err(Error::new(name, expected, format!("{w} × {h}")));
         }
-        pictures.push(Picture { id, file, size, labels: Vec::new() });
+        pictures.push(Picture { id, file, size, mm_per_pixel, labels: Vec::new() });
     }
     pictures.sort_by_key(|p| p.id);
     match pictures.windows(2).find(|pair| pair[0].id == pair[1].id) {

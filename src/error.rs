@@ -93,6 +93,14 @@ pub enum Error {
         /// What is wrong, with the tensor's name where one is to blame.
         message: String,
     },
+    /// A sensor file is damaged, or a frame cannot be the sensor's.
+    #[error("sensor `{sensor}`: {message}")]
+    Sensor {
+        /// The sensor's name, or its file.
+        sensor: String,
+        /// What is wrong.
+        message: String,
+    },
     /// A picture cannot be used.
     #[error("{file}: {message}")]
     Picture {

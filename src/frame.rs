@@ -1,11 +1,13 @@
 //! Pictures in memory, as a camera or another program gives them.
 //!
-//! A [`Frame`] is bytes with a width, a height, the distance between rows and a [`PixelFormat`]. The
-//! network sees its largest centred square, or that of the part that [`Frame::crop`] names; nothing
-//! else is converted.
+//! A [`Frame`] is bytes with a width, a height, the distance between rows and a [`PixelFormat`]. Which
+//! part of it the network sees, the [`crate::Sensor`] says, or [`Frame::crop`]; nothing else is
+//! converted.
 
 use std::borrow::Cow;
 use std::fmt;
+
+use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::model::MAX_PIXELS;
@@ -60,7 +62,8 @@ impl PixelFormat {
 }
 
 /// A part of a picture, in pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Rect {
     /// Column of the left edge.
     pub x: u32,
@@ -70,6 +73,40 @@ pub struct Rect {
     pub width: u32,
     /// Rows.
     pub height: u32,
+}
+
+impl Rect {
+    /// Whether it holds a pixel, and lies in a picture of this width and height.
+    pub(crate) fn is_in(&self, width: u32, height: u32) -> bool {
+        let fits = |at: u32, length: u32, all: u32| length > 0 && at < all && length <= all - at;
+        fits(self.x, self.width, width) && fits(self.y, self.height, height)
+    }
+
+    /// Its middle, in pixels.
+    pub(crate) fn middle(&self) -> [f32; 2] {
+        [(self.x, self.width), (self.y, self.height)]
+            .map(|(at, length)| at as f32 + length as f32 / 2.0)
+    }
+
+    /// The largest square in its middle; up and left by half a pixel where the middle is between two.
+    pub(crate) fn central_square(&self) -> Self {
+        let side = self.width.min(self.height);
+        let (x, y) = (self.x + (self.width - side) / 2, self.y + (self.height - side) / 2);
+        Self { x, y, width: side, height: side }
+    }
+
+    /// The same part of a picture that was scaled to `frame`, in whole pixels.
+    pub(crate) fn scaled(&self, [x, y]: [f64; 2], [width, height]: [u32; 2]) -> Self {
+        let edge =
+            |at: u32, scale: f64, all: u32| ((f64::from(at) * scale).round() as u32).min(all);
+        let side = |at: u32, length: u32, scale: f64, all: u32| {
+            let first = edge(at, scale, all - 1);
+            (first, edge(at + length, scale, all).saturating_sub(first).max(1))
+        };
+        let (left, columns) = side(self.x, self.width, x, width);
+        let (top, rows) = side(self.y, self.height, y, height);
+        Self { x: left, y: top, width: columns, height: rows }
+    }
 }
 
 /// A picture in memory.
@@ -97,9 +134,12 @@ pub struct Frame<'a> {
     pub stride: usize,
     /// What the bytes mean.
     pub format: PixelFormat,
-    /// The part that shows the gel; `None` for all of it. Positions in millimetres are from its
-    /// middle, boxes in pixels of the whole frame.
+    /// The part that shows the gel; `None` for what the sensor says. Positions in millimetres are from
+    /// its middle, boxes in pixels of the whole frame.
     pub crop: Option<Rect>,
+    /// Millimetres on the gel for a pixel, if this frame has a scale of its own: then it, or its crop,
+    /// is gel all over, and nothing else of the sensor counts.
+    pub mm_per_pixel: Option<f32>,
 }
 
 impl<'a> Frame<'a> {
@@ -111,7 +151,8 @@ impl<'a> Frame<'a> {
         format: PixelFormat,
     ) -> Self {
         let stride = (width as usize).saturating_mul(format.bytes_per_pixel());
-        Self { data: data.into(), width, height, stride, format, crop: None }
+        let (crop, mm_per_pixel) = (None, None);
+        Self { data: data.into(), width, height, stride, format, crop, mm_per_pixel }
     }
 
     /// The same with rows that begin `bytes` apart.
@@ -126,26 +167,24 @@ impl<'a> Frame<'a> {
         self
     }
 
-    /// The part that shows the gel.
-    pub(crate) fn part(&self) -> Rect {
-        let whole = Rect { x: 0, y: 0, width: self.width, height: self.height };
-        self.crop.unwrap_or(whole)
+    /// The same with a scale of its own.
+    pub fn mm_per_pixel(mut self, millimetres: f32) -> Self {
+        self.mm_per_pixel = Some(millimetres);
+        self
     }
 
-    /// The pixels that the network sees, once it is sure that they are there.
+    /// Checks that the frame is what it says.
     ///
     /// # Errors
     /// [`Error::Picture`] for an empty frame; [`Error::Param`] for a crop, a stride or a buffer that
-    /// does not hold what it must; [`Error::Capacity`] for more than [`MAX_PIXELS`].
-    pub(crate) fn square(&self) -> Result<Square> {
+    /// does not hold what it must.
+    pub(crate) fn check(&self) -> Result<()> {
         let Self { width, height, .. } = *self;
         if width == 0 || height == 0 {
             let message = format!("expected at least 1 × 1 pixel, got {width} × {height}");
             return Err(Error::Picture { file: "picture".into(), message });
         }
-        let part = self.part();
-        let fits = |at: u32, length: u32, all: u32| length > 0 && at < all && length <= all - at;
-        if !fits(part.x, part.width, width) || !fits(part.y, part.height, height) {
+        if let Some(part) = self.crop.filter(|part| !part.is_in(width, height)) {
             let expected = format!("a part of {width} × {height} pixels");
             let got = format!("{} × {} at ({}, {})", part.width, part.height, part.x, part.y);
             return Err(Error::param("frame", "crop", expected, got));
@@ -160,24 +199,29 @@ impl<'a> Frame<'a> {
             let expected = format!("at least {bytes} bytes");
             return Err(Error::param("frame", "data", expected, self.data.len()));
         }
-        let side = part.width.min(part.height);
-        let needed = u64::from(side) * u64::from(side);
-        if needed > MAX_PIXELS as u64 {
-            let what = format!("pixels of a square of {side} × {side}");
-            return Err(Error::Capacity { what, needed, available: MAX_PIXELS as u64 });
-        }
-        // Up and left by half a pixel where the middle is between two.
-        let (x, y) = (part.x + (part.width - side) / 2, part.y + (part.height - side) / 2);
-        Ok(Square { x, y, side, pixels: self.pack(x as usize, y as usize, side as usize) })
+        Ok(())
     }
 
-    /// Red in the low byte, then green, blue and 255, for each pixel of a square inside the frame.
-    fn pack(&self, x: usize, y: usize, side: usize) -> Vec<u32> {
+    /// The pixels of a part of a checked frame, row-major: red in the low byte, then green, blue and 255.
+    ///
+    /// # Errors
+    /// [`Error::Capacity`] for more than [`MAX_PIXELS`].
+    pub(crate) fn pixels(&self, part: Rect) -> Result<Vec<u32>> {
+        let Rect { x, y, width, height } = part;
+        let needed = u64::from(width) * u64::from(height);
+        if needed > MAX_PIXELS as u64 {
+            let what = format!("pixels of {width} × {height}");
+            return Err(Error::Capacity { what, needed, available: MAX_PIXELS as u64 });
+        }
+        Ok(self.pack([x, y, width, height].map(|n| n as usize)))
+    }
+
+    fn pack(&self, [x, y, columns, rows]: [usize; 4]) -> Vec<u32> {
         let word = |r: u8, g: u8, b: u8| u32::from_le_bytes([r, g, b, 255]);
         let each = self.format.bytes_per_pixel();
-        let mut pixels = Vec::with_capacity(side * side);
-        for y in y..y + side {
-            let row = &self.data[y * self.stride + x * each..][..side * each];
+        let mut pixels = Vec::with_capacity(columns * rows);
+        for y in y..y + rows {
+            let row = &self.data[y * self.stride + x * each..][..columns * each];
             match self.format {
                 PixelFormat::Rgb8 => {
                     pixels.extend(row.as_chunks().0.iter().map(|&[r, g, b]| word(r, g, b)));
@@ -196,7 +240,7 @@ impl<'a> Frame<'a> {
                 | PixelFormat::BayerBggr8
                 | PixelFormat::BayerGrbg8
                 | PixelFormat::BayerGbrg8 => {
-                    pixels.extend((x..x + side).map(|x| {
+                    pixels.extend((x..x + columns).map(|x| {
                         let [r, g, b] = self.interpolated(x, y);
                         word(r, g, b)
                     }));
@@ -228,10 +272,13 @@ impl<'a> Frame<'a> {
 
 impl fmt::Debug for Frame<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { data, width, height, stride, format, crop } = self;
+        let Self { data, width, height, stride, format, crop, mm_per_pixel } = self;
         write!(f, "Frame({width} × {height} {format:?}, {} bytes, stride {stride}", data.len())?;
         if let Some(Rect { x, y, width, height }) = crop {
             write!(f, ", crop {width} × {height} at ({x}, {y})")?;
+        }
+        if let Some(scale) = mm_per_pixel {
+            write!(f, ", {scale} mm a pixel")?;
         }
         f.write_str(")")
     }
@@ -251,33 +298,28 @@ impl<'a> From<&'a image::DynamicImage> for Frame<'a> {
     }
 }
 
-/// What the network sees of a frame.
-#[derive(Clone, PartialEq, Eq)]
-pub(crate) struct Square {
-    /// Column of its left edge in the frame.
-    pub x: u32,
-    /// Row of its upper edge.
-    pub y: u32,
-    /// Its columns and rows.
-    pub side: u32,
-    /// Its pixels, row-major: red in the low byte, then green, blue and alpha.
-    pub pixels: Vec<u32>,
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// The largest square of the frame or of its crop, and its pixels.
+    fn square(frame: &Frame) -> Result<(Rect, Vec<u32>)> {
+        frame.check()?;
+        let all = Rect { x: 0, y: 0, width: frame.width, height: frame.height };
+        let part = frame.crop.unwrap_or(all).central_square();
+        Ok((part, frame.pixels(part)?))
+    }
+
     /// The (r, g, b) of what the network sees.
     fn seen(frame: &Frame) -> Vec<[u8; 3]> {
-        let square = frame.square().expect("a sound frame");
-        assert_eq!(square.pixels.len(), (square.side * square.side) as usize);
-        let bytes = square.pixels.iter().map(|p| p.to_le_bytes());
+        let (part, pixels) = square(frame).expect("a sound frame");
+        assert_eq!(pixels.len(), (part.width * part.height) as usize);
+        let bytes = pixels.iter().map(|p| p.to_le_bytes());
         bytes.inspect(|p| assert_eq!(p[3], 255)).map(|[r, g, b, _]| [r, g, b]).collect()
     }
 
     fn refusal(frame: &Frame) -> String {
-        frame.square().err().expect("an error").to_string()
+        square(frame).expect_err("an error").to_string()
     }
 
     #[test]
@@ -314,12 +356,10 @@ mod tests {
     fn the_middle_square_of_the_part_is_seen() {
         let data: Vec<u8> = (0..40).collect();
         let frame = Frame::new(&data, 8, 5, PixelFormat::Gray8);
-        let square = frame.square().expect("a frame");
-        assert_eq!((square.x, square.y, square.side), (1, 0, 5));
+        assert_eq!(square(&frame).expect("a frame").0, Rect { x: 1, y: 0, width: 5, height: 5 });
         // Two rows of four from (3, 2): the middle two columns.
         let frame = frame.crop(Rect { x: 3, y: 2, width: 4, height: 2 });
-        let square = frame.square().expect("a frame");
-        assert_eq!((square.x, square.y, square.side), (4, 2, 2));
+        assert_eq!(square(&frame).expect("a frame").0, Rect { x: 4, y: 2, width: 2, height: 2 });
         assert_eq!(seen(&frame), [20, 21, 28, 29].map(|v| [v; 3]));
     }
 
@@ -327,7 +367,7 @@ mod tests {
     fn what_is_not_there_is_refused() {
         let data = vec![0; 3 * 4 * 3];
         let frame = |width, height| Frame::new(&data, width, height, PixelFormat::Rgb8);
-        assert!(frame(4, 3).square().is_ok());
+        assert!(square(&frame(4, 3)).is_ok());
         assert_eq!(refusal(&frame(0, 3)), "picture: expected at least 1 × 1 pixel, got 0 × 3");
         assert_eq!(
             refusal(&frame(4, 4)),

@@ -29,7 +29,7 @@
 //! | `cpu` | [`Device::Cpu`]: the network on this machine's cores, by [`host`] |
 //! | `serde` | [`Detections`] and what is in them can be serialised |
 //! | `eval` | [`coco`] and [`metrics`]: labelled pictures, and how well a detector does on them |
-//! | `simulator` | [`sensor`]: the simulated sensor; with `picture` |
+//! | `simulator` | [`simulator`]: the simulated sensor; with `picture` |
 //! | `cli` (default) | the program `smr-gpu`; with all of the others |
 //!
 //! # Architecture
@@ -47,9 +47,10 @@
 //! | [`model`] | SMR-Net's stages, its configuration and its weights |
 //! | [`comparison`] | the whole network on a device, by operation and by outcome, against the reference |
 //! | [`frame`] | pictures in memory, as cameras give them |
+//! | [`sensor`] | what a sensor's pictures show: how much gel, and where |
 //! | [`detector`] | [`GpuDetector`] |
 //! | [`picture`] | pictures from files that nobody vouches for |
-//! | [`sensor`] | the simulated sensor: gel, contact, optics, camera, snaps |
+//! | [`simulator`] | the simulated sensor: gel, contact, optics, camera, snaps |
 //! | [`coco`] | labelled pictures from COCO annotations |
 //! | [`metrics`] | intersection over union, average precision, centre error |
 //!
@@ -60,7 +61,7 @@
 //! # How the paper was read
 //! Where its text leaves a choice, the module that makes it says so: [`model`] for the stages,
 //! [`ops`] for conventions of single operations (torchvision's throughout; RoIAlign with
-//! `aligned = true`, which is not torchvision's default), [`sensor`] for the data, which the paper
+//! `aligned = true`, which is not torchvision's default), [`simulator`] for the data, which the paper
 //! does not publish.
 #![warn(missing_docs)]
 
@@ -88,10 +89,11 @@ pub mod ops;
 #[cfg(feature = "picture")]
 pub mod picture;
 pub mod profile;
-#[cfg(feature = "simulator")]
 pub mod sensor;
 pub mod shader;
 pub mod shape;
+#[cfg(feature = "simulator")]
+pub mod simulator;
 pub mod tensor;
 pub mod tune;
 
@@ -101,6 +103,7 @@ pub use frame::{Frame, PixelFormat, Rect};
 /// The crate whose pictures [`GpuDetector::detect`] takes.
 #[cfg(feature = "image")]
 pub use image;
+pub use sensor::Sensor;
 
 /// The README's example runs as a test.
 #[cfg(all(doctest, feature = "picture"))]

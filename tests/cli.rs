@@ -295,7 +295,7 @@ fn stdin_is_a_picture_and_stages_are_dumped() {
     let (_, header) = SafeTensors::read_metadata(&bytes).expect("a header");
     let metadata = header.metadata().clone().expect("metadata");
     let config: Value = serde_json::from_str(&metadata["config"]).expect("JSON");
-    let side = config["input_size"].as_u64().expect("a size") as usize;
+    let side = (40.0 * config["pixels_per_mm"].as_f64().expect("a scale")) as usize;
     let stages = SafeTensors::deserialize(&bytes).expect("tensors");
     let pixels = stages.tensor("input").expect("the network's input");
     assert_eq!((pixels.dtype(), pixels.shape()), (Dtype::F32, [3, side, side].as_slice()));

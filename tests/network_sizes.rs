@@ -18,7 +18,10 @@ fn size_of(op: &dyn Op, inputs: &[&TensorSpec]) -> String {
     let parameters = match op.name() {
         "conv2d" => format!("{op:?}"),
         // Pictures come in all sizes; what they become is the network's.
-        "crop_resize" => return format!("crop_resize to {}", op.settings()[0].1),
+        "crop_resize" => {
+            let settings = op.settings();
+            return format!("crop_resize to {} × {}", settings[0].1, settings[1].1);
+        }
         name => name.to_owned(),
     };
     format!("{parameters}: {}", inputs.join(", "))
@@ -29,7 +32,7 @@ fn every_operation_of_the_network_has_a_case_of_its_size() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("weights/smrnet.safetensors");
     let weights = Weights::open(&path).expect("the weights");
     let thresholds = Thresholds { score: 0.05, iou: 0.5, max_detections: 100, class_mask: 3 };
-    let network = Network::new(weights, thresholds).expect("a network");
+    let network = Network::new(weights, [320; 2], thresholds).expect("a network");
     let needed: BTreeSet<String> =
         network.graph.operations().map(|(op, inputs)| size_of(op, &inputs)).collect();
     let mut there = BTreeSet::new();
@@ -47,7 +50,7 @@ fn what_witnesses_say_is_short() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("weights/smrnet.safetensors");
     let weights = Weights::open(&path).expect("the weights");
     let thresholds = Thresholds { score: 0.05, iou: 0.5, max_detections: 100, class_mask: 3 };
-    let network = Network::new(weights, thresholds).expect("a network");
+    let network = Network::new(weights, [320; 2], thresholds).expect("a network");
     let words = |id| network.graph.spec(id).shape.elements();
     let told: usize = network.witnesses.iter().map(|w| words(w.counts)).sum();
     let seen: usize = network.witnesses.iter().map(|w| words(w.tensor)).sum();

@@ -15,6 +15,8 @@ mod conv2d;
 mod crop_resize;
 #[path = "ops/decode_detections.rs"]
 mod decode_detections;
+#[path = "ops/decode_pose.rs"]
+mod decode_pose;
 #[path = "ops/decode_proposals.rs"]
 mod decode_proposals;
 #[path = "ops/gather_rows.rs"]

@@ -12,10 +12,10 @@ use std::sync::Mutex;
 
 use image::{Rgb, RgbImage};
 use safetensors::tensor::Dtype;
-use smr_gpu::sensor::Error;
-use smr_gpu::sensor::dataset::{Settings, simulate};
-use smr_gpu::sensor::render::Request;
-use smr_gpu::sensor::scene::Mix;
+use smr_gpu::simulator::Error;
+use smr_gpu::simulator::dataset::{Settings, simulate};
+use smr_gpu::simulator::render::Request;
+use smr_gpu::simulator::scene::Mix;
 
 #[path = "support/program.rs"]
 mod program;

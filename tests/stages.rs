@@ -11,9 +11,9 @@ use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions, ProgramOptions, Slot};
 use smr_gpu::host::HostPlan;
 use smr_gpu::model::{ModelConfig, Network, Thresholds, Variant, Weights};
 use smr_gpu::ops::Crop;
-use smr_gpu::sensor::dataset;
-use smr_gpu::sensor::render::{Renderer, Request};
-use smr_gpu::sensor::scene::Mix;
+use smr_gpu::simulator::dataset;
+use smr_gpu::simulator::render::{Renderer, Request};
+use smr_gpu::simulator::scene::Mix;
 use smr_gpu::tensor::{Tensor, Value};
 use smr_gpu::{Config, Device, Error, Frame, GpuDetector};
 
@@ -132,10 +132,10 @@ fn buffer_reuse_changes_no_bit() {
     let thresholds = Thresholds { score: 0.05, iou: 0.5, max_detections: 100, class_mask: 3 };
     let rgba = first_sample().to_rgba8();
     let (width, height) = (rgba.width() as usize, rgba.height() as usize);
-    let network = Network::new(weights, thresholds).expect("a network");
+    let network = Network::new(weights, [320; 2], thresholds).expect("a network");
     let words: Vec<u32> = bytemuck::pod_collect_to_vec(rgba.as_raw());
     let picture = Value::from(Tensor::new([width * height], words).expect("a word a pixel"));
-    let crop = Crop::central(width, height).to_tensor(width * height).expect("a crop").into();
+    let crop = Crop::central(width, height, 320).to_tensor(width * height).expect("a crop").into();
     let run = |reuse| {
         let options = ProgramOptions { reuse, ..ProgramOptions::default() };
         let slot = Slot::of(support::gpu(), &network.graph, &[], options);
@@ -175,18 +175,11 @@ fn first_sample() -> DynamicImage {
 
 fn small_config(variant: Variant) -> ModelConfig {
     ModelConfig {
-        format: 1,
-        input_size: 64,
-        mean: [0.5; 3],
-        std: [0.2; 3],
-        classes: vec!["A".into(), "B".into()],
         anchor_sizes: vec![16.0, 32.0],
         anchor_ratios: vec![0.5, 1.0, 2.0],
-        mm_per_pixel: 0.04,
-        picture_size: 1000,
         stride: if variant.msff { 8 } else { 16 },
-        reduction: 16,
         variant,
+        ..ModelConfig::large()
     }
 }
 
@@ -196,10 +189,11 @@ fn bounds_checks_change_no_bit() {
     let full = Variant { safe: true, msff: true, rw: true };
     let weights = Weights::random(small_config(full), 7);
     let thresholds = Thresholds { score: 0.0, iou: 0.5, max_detections: 100, class_mask: u32::MAX };
-    let network = Network::new(weights, thresholds).expect("a network");
+    let network = Network::new(weights, [64; 2], thresholds).expect("a network");
     let pixel = |i| (i as u32).wrapping_mul(2_654_435_761);
     let picture = Value::from(Tensor::from_fn([80 * 70], pixel));
-    let crop = Tensor::new([5], vec![80, 70, 5, 0, 70]).expect("five values").into();
+    let crop =
+        Tensor::new([10], vec![80, 70, 5, 0, 70, 70, 64, 64, 0, 0]).expect("ten words").into();
     let inputs = [(network.picture, &picture), (network.crop, &crop)];
     let keep = network.graph.computed();
     let run = |checked| {
@@ -237,11 +231,12 @@ fn every_variant_matches_its_reference_and_pytorch() {
         let weights = Weights::random(small_config(variant), 7);
         let thresholds =
             Thresholds { score: 0.0, iou: 0.5, max_detections: 100, class_mask: u32::MAX };
-        let network = Network::new(weights, thresholds).expect("a network");
+        let network = Network::new(weights, [64; 2], thresholds).expect("a network");
         let graph = &network.graph;
         let pixel = |i| (i as u32).wrapping_mul(2_654_435_761);
         let picture = Value::from(Tensor::from_fn([80 * 70], pixel));
-        let crop = Tensor::new([5], vec![80, 70, 5, 0, 70]).expect("five values").into();
+        let crop =
+            Tensor::new([10], vec![80, 70, 5, 0, 70, 70, 64, 64, 0, 0]).expect("ten words").into();
         let inputs = [(network.picture, &picture), (network.crop, &crop)];
         let keep = graph.computed();
         let names: BTreeSet<_> = keep.iter().map(|id| graph.name(*id)).collect();

@@ -33,21 +33,53 @@ fn config(variant: Variant) -> Json {
     })
 }
 
+/// A narrow network with pose, in format 2: that of `NETWORKS["small"]` in weights/training/model.py.
+fn small() -> Json {
+    json!({
+        "format": 2,
+        "pixels_per_mm": 0.8,
+        "mean": [0.5, 0.5, 0.5],
+        "std": [0.2, 0.2, 0.2],
+        "classes": ["A", "B"],
+        "directed": ["A"],
+        "anchor_sizes": [16.0, 32.0],
+        "anchor_ratios": [0.5, 1.0, 2.0],
+        "stride": 8,
+        "variant": FULL,
+        "stem": 16,
+        "channels": [32, 64, 128, 192],
+        "blocks": [1, 2, 3, 2],
+        "reduction": 8,
+        "fused": 96,
+        "reweight": 32,
+        "head": 192,
+        "pose": true,
+        "temperature": 1.5,
+    })
+}
+
+fn parsed(config: &Json) -> ModelConfig {
+    ModelConfig::parse(&config.to_string()).expect("a configuration")
+}
+
 const FULL: Variant = Variant { safe: true, msff: true, rw: true };
 
 type Shapes = Vec<(String, Vec<usize>)>;
 
 /// Names and shapes in the state dict of weights/training/model.py, without `num_batches_tracked`:
 /// `SmrNet` and its parts, read there and not in the Rust network.
-fn state_dict(variant: Variant) -> Shapes {
+fn state_dict(config: &ModelConfig) -> Shapes {
+    let ModelConfig { variant, stem, channels: [c2, c3, c4, c5], fused, reweight, head, .. } =
+        *config;
     let mut dict = Shapes::new();
     let mut add = |name: String, shape: &[usize]| dict.push((name, shape.to_vec()));
     let mut backbone = vec![
-        ("backbone.conv1".to_owned(), vec![64, 3, 7, 7]),
-        ("backbone.bn1".to_owned(), vec![64]),
+        ("backbone.conv1".to_owned(), vec![stem, 3, 7, 7]),
+        ("backbone.bn1".to_owned(), vec![stem]),
     ];
     // (stage, blocks, channels in, channels out); without MSFF-Net nothing reads conv5_x.
-    let stages = [(1, 3, 64, 64), (2, 4, 64, 128), (3, 6, 128, 256), (4, 3, 256, 512)];
+    let [b2, b3, b4, b5] = config.blocks;
+    let stages = [(1, b2, stem, c2), (2, b3, c2, c3), (3, b4, c3, c4), (4, b5, c4, c5)];
     let stages = &stages[..if variant.msff { 4 } else { 3 }];
     for (stage, blocks, inputs, outputs) in stages {
         for block in 0..*blocks {
@@ -65,7 +97,7 @@ fn state_dict(variant: Variant) -> Shapes {
     }
     let mut attention = Vec::new();
     if variant.safe {
-        let channels = [64, 64, 128, 256, 512];
+        let channels = [stem, c2, c3, c4, c5];
         let channels = &channels[..if variant.msff { 5 } else { 4 }];
         for (i, channels) in (1..).zip(channels) {
             attention.push((format!("backbone.cbam{i}"), *channels));
@@ -73,35 +105,39 @@ fn state_dict(variant: Variant) -> Shapes {
     }
     let mut biased = Vec::new();
     if variant.msff {
-        for (i, channels) in [(1, 128), (2, 256), (3, 512)] {
+        for (i, channels) in [(1, c3), (2, c4), (3, c5)] {
             let of = |part: &str| format!("fusion.branch{i}.{part}");
-            backbone.push((of("conv"), vec![256, channels, 3, 3]));
-            backbone.push((of("bn"), vec![256]));
-            attention.push((of("cbam"), 256));
+            backbone.push((of("conv"), vec![fused, channels, 3, 3]));
+            backbone.push((of("bn"), vec![fused]));
+            attention.push((of("cbam"), fused));
         }
         if variant.rw {
             for i in 1..=3 {
-                biased.push((format!("reweight.reduce{i}"), vec![64, 256, 1, 1]));
+                biased.push((format!("reweight.reduce{i}"), vec![reweight, fused, 1, 1]));
             }
-            biased.push(("reweight.fc1".into(), vec![64, 192]));
-            biased.push(("reweight.fc2".into(), vec![3, 64]));
+            biased.push(("reweight.fc1".into(), vec![reweight, 3 * reweight]));
+            biased.push(("reweight.fc2".into(), vec![3, reweight]));
         } else {
-            biased.push(("fusion.reduce".into(), vec![256, 768, 1, 1]));
+            biased.push(("fusion.reduce".into(), vec![fused, 3 * fused, 1, 1]));
         }
     }
     for (name, channels) in attention {
-        let hidden = channels / REDUCTION;
+        let hidden = channels / config.reduction;
         biased.push((format!("{name}.channel.fc1"), vec![hidden, channels]));
         biased.push((format!("{name}.channel.fc2"), vec![channels, hidden]));
         backbone.push((format!("{name}.spatial.conv"), vec![1, 2, 7, 7]));
         backbone.push((format!("{name}.spatial.bn"), vec![1]));
     }
-    biased.push(("rpn.cls".into(), vec![ANCHORS, 256, 1, 1]));
-    biased.push(("rpn.bbox".into(), vec![4 * ANCHORS, 256, 1, 1]));
-    biased.push(("roi_head.fc6".into(), vec![512, 256 * 7 * 7]));
-    biased.push(("roi_head.fc7".into(), vec![512, 512]));
-    biased.push(("roi_head.cls_score".into(), vec![CLASSES + 1, 512]));
-    biased.push(("roi_head.bbox_pred".into(), vec![4 * (CLASSES + 1), 512]));
+    let width = if variant.msff { fused } else { c4 };
+    biased.push(("rpn.cls".into(), vec![ANCHORS, width, 1, 1]));
+    biased.push(("rpn.bbox".into(), vec![4 * ANCHORS, width, 1, 1]));
+    biased.push(("roi_head.fc6".into(), vec![head, width * 7 * 7]));
+    biased.push(("roi_head.fc7".into(), vec![head, head]));
+    biased.push(("roi_head.cls_score".into(), vec![CLASSES + 1, head]));
+    biased.push(("roi_head.bbox_pred".into(), vec![4 * (CLASSES + 1), head]));
+    if config.pose {
+        biased.push(("roi_head.pose".into(), vec![6, head]));
+    }
     for (name, shape) in &backbone {
         add(format!("{name}.weight"), shape);
         if shape.len() == 1 {
@@ -145,9 +181,9 @@ fn stored(name: &str, shape: &[usize], state: &mut u64) -> (Dtype, Vec<u8>) {
 
 type Stored = (String, Vec<usize>, Dtype, Vec<u8>);
 
-fn tensors(variant: Variant) -> Vec<Stored> {
+fn tensors(config: &Json) -> Vec<Stored> {
     let mut state = 7;
-    let dict = state_dict(variant).into_iter();
+    let dict = state_dict(&parsed(config)).into_iter();
     dict.map(|(name, shape)| {
         let (dtype, bytes) = stored(&name, &shape, &mut state);
         (name, shape, dtype, bytes)
@@ -164,7 +200,7 @@ fn file(config: &Json, tensors: &[Stored]) -> Vec<u8> {
 }
 
 fn network(bytes: &[u8]) -> smr_gpu::Result<Network> {
-    Network::new(Weights::from_bytes(Path::new("w"), bytes)?, THRESHOLDS)
+    Network::new(Weights::from_bytes(Path::new("w"), bytes)?, [32; 2], THRESHOLDS)
 }
 
 /// Each combination of the paper's modules loads from a file with exactly the tensors that PyTorch
@@ -172,16 +208,25 @@ fn network(bytes: &[u8]) -> smr_gpu::Result<Network> {
 #[test]
 fn a_file_of_every_variant_loads_and_runs() {
     let mut dicts = Vec::new();
-    for bits in 0..8 {
-        let variant = Variant { safe: bits & 1 == 0, msff: bits & 2 == 0, rw: bits & 4 == 0 };
-        let tensors = tensors(variant);
-        dicts.push((tensors.len(), digest(state_dict(variant))));
-        let network = network(&file(&config(variant), &tensors))
-            .unwrap_or_else(|e| panic!("{variant:?}: {e}"));
+    for bits in 0..9 {
+        // Last the network that is narrow all over.
+        let config = match bits {
+            8 => small(),
+            _ => {
+                let [safe, msff, rw] = [1, 2, 4].map(|bit| bits & bit == 0);
+                config(Variant { safe, msff, rw })
+            }
+        };
+        let ModelConfig { variant, pose, .. } = parsed(&config);
+        let tensors = tensors(&config);
+        dicts.push((tensors.len(), digest(state_dict(&parsed(&config)))));
+        let network =
+            network(&file(&config, &tensors)).unwrap_or_else(|e| panic!("{variant:?}: {e}"));
         let graph = &network.graph;
         let picture = Tensor::from_fn([40 * 40], |i| (i as u32).wrapping_mul(2_654_435_761));
         let picture = Value::from(picture);
-        let crop = Tensor::new([5], vec![40, 40, 0, 0, 40]).expect("five values").into();
+        let crop =
+            Tensor::new([10], vec![40, 40, 0, 0, 40, 40, 32, 32, 0, 0]).expect("ten words").into();
         let inputs = [(network.picture, &picture), (network.crop, &crop)];
         let keep = graph.computed();
         // Nothing is computed that the variant does not use.
@@ -198,7 +243,7 @@ fn a_file_of_every_variant_loads_and_runs() {
         let got = slot.run(&inputs).expect("a run").first();
         let mut maps = 0;
         for id in &keep {
-            if !["rpn.cls", "rpn.bbox"].contains(&graph.name(*id)) {
+            if !["rpn.cls", "rpn.bbox", "roi_head.pose"].contains(&graph.name(*id)) {
                 continue;
             }
             maps += 1;
@@ -210,7 +255,7 @@ fn a_file_of_every_variant_loads_and_runs() {
             // Rounding costs some 1e-6; a layer too many or too few, everything.
             assert!(all > 0.0 && (off / all).sqrt() < 1e-4, "{variant:?}: {off} of {all}");
         }
-        assert_eq!(maps, 2, "{variant:?}");
+        assert_eq!(maps, 2 + usize::from(pose), "{variant:?}");
     }
     assert_eq!(dicts, STATE_DICTS);
 }
@@ -226,7 +271,7 @@ fn digest(mut dict: Shapes) -> u64 {
 }
 
 /// The number of tensors and their digest in PyTorch: `SmrNet(Config(…)).state_dict()` by variant.
-const STATE_DICTS: [(usize, u64); 8] = [
+const STATE_DICTS: [(usize, u64); 9] = [
     (289, 0x6a65_dd0e_b04d_3935),
     (244, 0x155a_fb7d_cea4_a142),
     (193, 0x45a8_5818_f5c0_7eca),
@@ -235,6 +280,7 @@ const STATE_DICTS: [(usize, u64); 8] = [
     (236, 0xd444_a0da_2dc0_fa56),
     (193, 0x45a8_5818_f5c0_7eca),
     (157, 0x8c79_44a6_df47_2587),
+    (216, 0x608e_4fe0_f892_dab3),
 ];
 
 #[test]
@@ -250,7 +296,7 @@ fn every_value_of_the_configuration_has_a_range() {
     let sizes = format!("[{}]", vec!["16"; 33].join(","));
     let many = format!("[{}]", vec!["16"; 10_000].join(","));
     let cases: &[(&str, &[&str])] = &[
-        ("format", &["0", "2", "-1", "1e300", "null"]),
+        ("format", &["0", "3", "-1", "1e300", "null"]),
         ("input_size", &["0", "31", "33", "1472", "4294967296", "18446744073709551616"]),
         ("mean", &["[0.5,0.5,-0.1]", "[0.5,1e39,0]", "[0.5,0.5]", "[0.5,1.5,0.5]", "[NaN,0,0]"]),
         ("std", &["[0,1,1]", "[-0.2,1,1]", "[1e-40,1,1]", "[1e39,1,1]", "[1,1,1e38]", "[]"]),
@@ -299,8 +345,52 @@ fn every_value_of_the_configuration_has_a_range() {
     // Also where no file brings it.
     let mut config = ModelConfig::parse(&whole).expect("a configuration");
     config.reduction = 0;
-    let error = Network::new(Weights::random(config, 1), THRESHOLDS).expect_err("a range");
+    let error = Network::new(Weights::random(config, 1), [32; 2], THRESHOLDS);
+    let error = error.expect_err("a range");
     assert!(error.to_string().contains("reduction: expected 1 to 64, got 0"), "{error}");
+}
+
+#[test]
+fn every_value_of_format_2_has_a_range() {
+    let with = |key: &str, value: &str| {
+        let mut whole = small();
+        whole[key] = Json::String("@".into());
+        whole.to_string().replace("\"@\"", value)
+    };
+    let cases: &[(&str, &[&str], &[&str])] = &[
+        ("pixels_per_mm", &["0.001", "1e6"], &["0", "-8", "1e7", "null"]),
+        ("directed", &["[]", r#"["B","A"]"#], &[r#"["C"]"#, r#"["a"]"#]),
+        ("stem", &["1", "4096"], &["0", "4097"]),
+        ("channels", &["[8,9,4096,10]"], &["[0,64,128,192]", "[32,64,128,4097]"]),
+        ("blocks", &["[1,1,64,1]"], &["[1,2,0,2]", "[1,2,3,65]"]),
+        ("reduction", &["1", "16"], &["0", "17"]),
+        ("fused", &["8", "4096"], &["0", "4097"]),
+        ("reweight", &["1", "4096"], &["0", "4097"]),
+        ("head", &["1", "4096"], &["0", "4097"]),
+        ("temperature", &["0.01", "100"], &["0", "-1", "0.009", "101"]),
+        ("stride", &["8"], &["16"]),
+    ];
+    for (key, good, bad) in cases {
+        for value in *good {
+            ModelConfig::parse(&with(key, value)).unwrap_or_else(|e| panic!("{key}={value}: {e}"));
+        }
+        for value in *bad {
+            let message = ModelConfig::parse(&with(key, value));
+            let message = message.expect_err(&format!("{key}={value} is accepted"));
+            assert!(message.contains(key) || message.contains("line "), "{key}={value}: {message}");
+        }
+    }
+    // None of it may be missing, nor may a list be shorter.
+    for key in small().as_object().expect("an object").keys() {
+        let mut whole = small();
+        whole.as_object_mut().expect("an object").remove(key);
+        let message = ModelConfig::parse(&whole.to_string()).expect_err("a missing key");
+        assert!(message.contains(key.as_str()), "{key}: {message}");
+    }
+    assert!(ModelConfig::parse(&with("channels", "[1,2,3]")).is_err());
+    // What is written is read.
+    let config = parsed(&small());
+    assert_eq!(parsed(&serde_json::to_value(&config).expect("JSON")), config);
 }
 
 fn refusal(bytes: &[u8]) -> String {
@@ -324,7 +414,7 @@ fn hostile_files_are_refused_by_name() {
         (0..4097).map(|i| (i.to_string(), vec![0], Dtype::F32, vec![])).collect();
     let message = refusal(&file(&config(FULL), &many));
     assert!(message.contains("expected at most 4096 tensors, got 4097"), "{message}");
-    let all = tensors(FULL);
+    let all = tensors(&config(FULL));
     let with = |name: &str, value: f32| {
         let mut all = all.clone();
         // A variance of 0 is told from a division by it by its epsilon, and makes a scale of 316.

@@ -3,6 +3,8 @@
 struct Params {
     rows: u32,
     columns: u32,
+    // One by the temperature.
+    scale: f32,
     // Always 0; see shared/reduce.wgsl.
     zero: u32,
 }
@@ -37,10 +39,10 @@ fn main(
 
     var sum = 0.0;
     for (var i = lane; i < columns; i += WORKGROUP) {
-        sum += exp(input[first + i] - highest);
+        sum += exp((input[first + i] - highest) * params.scale);
     }
     sum = tree_sum(lane, vec2<f32>(sum, 0.0), 1u).x;
     for (var i = lane; i < columns; i += WORKGROUP) {
-        output[first + i] = exp(input[first + i] - highest) / sum;
+        output[first + i] = exp((input[first + i] - highest) * params.scale) / sum;
     }
 }

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use image::ImageFormat;
 use smr_gpu::files::Outputs;
-use smr_gpu::sensor::Error;
-use smr_gpu::sensor::calibrate::{
+use smr_gpu::simulator::Error;
+use smr_gpu::simulator::calibrate::{
     self, CROP_PX, DIFFERENCE_GAIN, Distance, FOLDS, read_sensor, sensor_files,
 };
 
@@ -27,7 +27,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "PNG")]
     save: Option<PathBuf>,
 
-    /// Write the fitted sensor, in the form of the simulator's own src/sensor/calibration.json.
+    /// Write the fitted sensor, in the form of the simulator's own src/simulator/calibration.json.
     #[arg(long, value_name = "JSON")]
     write: Option<PathBuf>,
 

@@ -66,6 +66,7 @@ struct Record<'a> {
     file: String,
     width: u32,
     height: u32,
+    mm_per_pixel: f32,
     detections: &'a [Detection],
     timings_ms: Timings<'a>,
     adapter: &'a str,
@@ -112,6 +113,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         table.heading()?;
     }
     let (mut pictures, mut snaps, start) = (0, 0, Instant::now());
+    let mut assumed = false;
     for source in &sources {
         let picture = match picture::read(source) {
             Ok(picture) => picture,
@@ -130,6 +132,11 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             }
             Err(failure) => return Err(failure.told()),
         };
+        if let Some(what) = detector.assumption(found.width, found.height).filter(|_| !assumed) {
+            // Once: the others are most likely of the same sensor.
+            tell(format!("{source}: {what}; --sensor or --mm-per-pixel say better"));
+            assumed = true;
+        }
         match args.json {
             true => json_line(&record(source, &found, &detector))?,
             false => table.picture(source, &found)?,
@@ -200,6 +207,7 @@ fn record<'a>(source: &Source, found: &'a Detections, detector: &'a GpuDetector)
         file: source.to_string(),
         width: found.width,
         height: found.height,
+        mm_per_pixel: found.mm_per_pixel,
         detections: &found.detections,
         timings_ms: Timings { stages: &found.stages, total: found.wall.as_secs_f64() * 1e3 },
         adapter: detector.adapter(),
@@ -220,10 +228,11 @@ impl Table {
     fn heading(&self) -> Result<(), Failure> {
         let [x1, y1, x2, y2] = ["x1", "y1", "x2", "y2"];
         line(format!(
-            "{:w$}  class  score  {x1:>7} {y1:>7} {x2:>7} {y2:>7} px  {:>7} {:>7} mm",
+            "{:w$}  class  score  {x1:>7} {y1:>7} {x2:>7} {y2:>7} px  {:>7} {:>7} mm  {:>6} °",
             "file",
             "x",
             "y",
+            "yaw",
             w = self.file_width
         ))
     }
@@ -238,8 +247,13 @@ impl Table {
             let [x1, y1, x2, y2] = d.bbox;
             let [x, y] = d.center_mm;
             line(format!(
-                "{file:w$}  {:<5}  {:.3}  {x1:7.1} {y1:7.1} {x2:7.1} {y2:7.1}     {x:7.2} {y:7.2}",
-                d.class, d.score
+                "{file:w$}  {:<5}  {:.3}  {x1:7.1} {y1:7.1} {x2:7.1} {y2:7.1}     {x:7.2} {y:7.2}     \
+                 {:>6}{}",
+                d.class,
+                d.score,
+                d.yaw_deg.map_or("-".into(), |yaw| format!("{yaw:.1}")),
+                // Below an even chance.
+                if d.whole.is_some_and(|whole| whole < 0.5) { "  cut by the edge" } else { "" }
             ))?;
         }
         Ok(())

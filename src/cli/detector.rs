@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions};
 use smr_gpu::model::ModelConfig;
-use smr_gpu::{Config, Device, Error, GpuDetector};
+use smr_gpu::{Config, Device, Error, GpuDetector, Sensor};
 
 use super::exit::{Exit, Failure};
 use super::output::tell;
@@ -40,8 +40,18 @@ pub(super) struct DetectorArgs {
     #[arg(long, default_value_t = 0.5, value_name = "IOU", value_parser = fraction)]
     iou: f32,
 
-    /// Side of the network's input in pixels, a multiple of 32 [default: the weight file's]. Weights
-    /// know snaps of one size in pixels: the further off, the fewer they find.
+    /// The sensor that took the pictures: `paper`, `gelsight-mini`, `plain` (all gel, 40 mm along the
+    /// shorter side), or a sensor file (JSON) [default: the paper's, or what looks like it].
+    #[arg(long, value_name = "NAME|FILE", value_parser = sensor)]
+    sensor: Option<Sensor>,
+
+    /// Millimetres of gel that a pixel shows; without --sensor, in pictures that are gel all over.
+    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    mm_per_pixel: Option<f32>,
+
+    /// Longer side of the gel in the network's input, in pixels, a multiple of 32 [default: the scale
+    /// that the weights know]. Weights know snaps of one size in pixels: the further off, the fewer
+    /// they find.
     #[arg(long, value_name = "PIXELS", value_parser = input_size)]
     size: Option<usize>,
 
@@ -69,6 +79,19 @@ fn seconds(text: &str) -> Result<Duration, String> {
     }
 }
 
+/// A sensor by its name or from its file.
+///
+/// # Errors
+/// In words.
+fn sensor(text: &str) -> Result<Sensor, String> {
+    let path = Path::new(text);
+    match Sensor::named(text) {
+        Some(sensor) => Ok(sensor),
+        None if path.exists() => Sensor::open(path).map_err(|e| e.to_string()),
+        None => Err(format!("expected {} or a file", Sensor::NAMES.join(", "))),
+    }
+}
+
 /// Parses a side of the network's input.
 ///
 /// # Errors
@@ -90,6 +113,20 @@ pub(super) fn fraction(text: &str) -> Result<f32, String> {
 }
 
 impl DetectorArgs {
+    /// The sensor that the options name.
+    ///
+    /// # Errors
+    /// [`Exit::Usage`] for one that cannot be.
+    fn sensor(&self) -> Result<Option<Sensor>, Failure> {
+        let Some(scale) = self.mm_per_pixel else { return Ok(self.sensor.clone()) };
+        let mut sensor = self.sensor.clone().unwrap_or_else(Sensor::plain);
+        sensor.mm_per_pixel = Some(scale);
+        match sensor.check() {
+            Ok(()) => Ok(Some(sensor)),
+            Err(e) => Err(Failure::usage(format!("--mm-per-pixel: {e}"))),
+        }
+    }
+
     /// The library's configuration for these options.
     ///
     /// # Errors
@@ -98,6 +135,7 @@ impl DetectorArgs {
         let mut config = Config::new(weight_file(self.weights.as_deref())?);
         config.iou = self.iou;
         config.input_size = self.size;
+        config.sensor = self.sensor()?;
         config.timeout = self.timeout;
         config.device = self.device.device.clone();
         config.choices = tune::folder();

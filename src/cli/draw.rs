@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use ab_glyph::FontRef;
 use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
-use imageproc::drawing::{draw_filled_rect_mut, draw_text_mut, text_size};
+use imageproc::drawing::{draw_filled_rect_mut, draw_polygon_mut, draw_text_mut, text_size};
+use imageproc::point::Point;
 use imageproc::rect::Rect;
 use smr_gpu::Detection;
 use smr_gpu::files::{self, Outputs};
@@ -54,6 +55,9 @@ impl<'a> Artist<'a> {
             // A dark rim keeps the line apart from a bright ground.
             frame(&mut canvas, corners, line + (line + 1) / 2, BLACK);
             frame(&mut canvas, corners, line, colour);
+            if let Some(yaw) = detection.yaw_deg {
+                arrow(&mut canvas, detection.bbox, yaw, line, colour);
+            }
             self.label(&mut canvas, detection, corners, letters, colour);
         }
         canvas
@@ -94,6 +98,48 @@ fn frame(canvas: &mut RgbImage, [x1, y1, x2, y2]: [i32; 4], thick: i32, colour: 
     fill(canvas, x1 - out, y2 - out, wide, thick, colour);
     fill(canvas, x1 - out, y1 - out, thick, high, colour);
     fill(canvas, x2 - out, y1 - out, thick, high, colour);
+}
+
+/// Draws an arrow through the middle of a box, in the direction in which the barb points.
+fn arrow(canvas: &mut RgbImage, bbox: [f32; 4], yaw_deg: f32, line: i32, colour: Rgb<u8>) {
+    let [x1, y1, x2, y2] = bbox;
+    let (middle, length) = ([(x1 + x2) / 2.0, (y1 + y2) / 2.0], (x2 - x1).hypot(y2 - y1) / 4.0);
+    let (s, c) = yaw_deg.to_radians().sin_cos();
+    let at = |along: f32, aside: f32| {
+        [middle[0] + along * c - aside * s, middle[1] + along * s + aside * c]
+    };
+    let (thick, head) = (line as f32, (length / 3.0).max(3.0 * line as f32));
+    for (rim, ink) in [(thick / 2.0, BLACK), (0.0, colour)] {
+        let half = thick / 2.0 + rim;
+        let shaft = [
+            at(-length, half),
+            at(length - head, half),
+            at(length - head, -half),
+            at(-length, -half),
+        ];
+        let wide = head / 1.5 + 2.0 * rim;
+        let tip = [
+            at(length + 2.0 * rim, 0.0),
+            at(length - head - rim, wide),
+            at(length - head - rim, -wide),
+        ];
+        polygon(canvas, &shaft, ink);
+        polygon(canvas, &tip, ink);
+    }
+}
+
+/// Fills a polygon whose corners may coincide after rounding.
+fn polygon(canvas: &mut RgbImage, corners: &[[f32; 2]], colour: Rgb<u8>) {
+    let mut points: Vec<Point<i32>> =
+        corners.iter().map(|[x, y]| Point::new(x.round() as i32, y.round() as i32)).collect();
+    points.dedup();
+    // The library wants an open outline.
+    if points.len() > 1 && points.first() == points.last() {
+        points.pop();
+    }
+    if points.len() > 2 {
+        draw_polygon_mut(canvas, &points, colour);
+    }
 }
 
 /// Fills a rectangle, as far as it lies in the picture.
@@ -169,7 +215,17 @@ mod tests {
     use super::*;
 
     fn detection(bbox: [f32; 4]) -> Detection {
-        Detection { class: "B".into(), class_index: 1, score: 0.987, bbox, center_mm: [0.0; 2] }
+        Detection {
+            class: "B".into(),
+            class_index: 1,
+            score: 0.987,
+            bbox,
+            center_mm: [0.0; 2],
+            center_std_mm: None,
+            yaw_deg: None,
+            yaw_std_deg: None,
+            whole: None,
+        }
     }
 
     /// The coloured pixels' bounding box: columns and rows, ends included.

@@ -11,7 +11,7 @@ use smr_gpu::metrics::{
     self, Areas, PictureBoxes, ScoredBox, Truth, average_precision, average_precision_50_95,
     quantile,
 };
-use smr_gpu::{Detections, GpuDetector};
+use smr_gpu::{Detections, Frame, GpuDetector};
 
 use super::detector::{self, DetectorArgs, fraction};
 use super::exit::{Exit, Failure};
@@ -51,6 +51,10 @@ pub(super) struct Args {
     /// Show the paper's figures beside those of the classes A and B.
     #[arg(long)]
     paper: bool,
+
+    /// Take no notice of the scale that the labels state for a picture.
+    #[arg(long)]
+    unstated: bool,
 
     /// Print one JSON object.
     #[arg(long)]
@@ -128,11 +132,10 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let (mut failed, mut seconds) = (0, 0.0);
     let progress = ProgressBar::new(pictures.len() as u64).with_style(style());
     for labelled in &pictures {
-        match look(&detector, labelled) {
+        match look(&detector, labelled, args.unstated) {
             Ok(found) => {
                 seconds += found.wall.as_secs_f64();
-                let side = found.width.min(found.height);
-                let mm_per_pixel = f64::from(detector.model().mm_per_pixel_of(side));
+                let mm_per_pixel = f64::from(found.mm_per_pixel);
                 for ((seen, class), truths) in seen.iter_mut().zip(&classes).zip(&labelled.truths) {
                     seen.boxes.push(of_class(class, truths, &found));
                     seen.mm_per_pixel.push(mm_per_pixel);
@@ -222,13 +225,19 @@ fn read_labels(folder: &Path, classes: &[String]) -> Result<Vec<Labelled>, Failu
     labelled.collect()
 }
 
-fn look(detector: &GpuDetector, labelled: &Labelled) -> Result<Detections, Failure> {
+fn look(
+    detector: &GpuDetector,
+    labelled: &Labelled,
+    unstated: bool,
+) -> Result<Detections, Failure> {
     let source = &labelled.source;
     let failed = |message| Failure::new(Exit::Inputs, format!("{source}: {message}"));
     let picture = picture::read(source).map_err(failed)?;
     let checked = labelled.picture.check_size(picture.width(), picture.height());
     checked.map_err(|e| failed(e.to_string()))?;
-    detector.detect(&picture).map_err(|e| Failure::about(source, &e))
+    let mut frame = Frame::from(&picture);
+    frame.mm_per_pixel = labelled.picture.mm_per_pixel.filter(|_| !unstated);
+    detector.detect_frame(&frame).map_err(|e| Failure::about(source, &e))
 }
 
 /// What a picture shows of a class, and what was found of it.

@@ -5,12 +5,12 @@ use std::sync::Once;
 
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
-use smr_gpu::sensor::Error;
-use smr_gpu::sensor::conditions::{Distribution, Forced};
-use smr_gpu::sensor::dataset::{self, Progress, Settings, Step};
-use smr_gpu::sensor::distractors::Part;
-use smr_gpu::sensor::render::Request;
-use smr_gpu::sensor::scene::Mix;
+use smr_gpu::simulator::Error;
+use smr_gpu::simulator::conditions::{Distribution, Forced};
+use smr_gpu::simulator::dataset::{self, Progress, Settings, Step};
+use smr_gpu::simulator::distractors::Part;
+use smr_gpu::simulator::render::Request;
+use smr_gpu::simulator::scene::Mix;
 
 use super::exit::{Exit, Failure};
 use super::output::{self, tell};

@@ -18,10 +18,9 @@ fn bytes() -> Vec<u8> {
 
 fn network(bytes: &[u8], iou: f32) -> Network {
     let weights = Weights::from_bytes(Path::new("weights"), bytes).expect("weights");
-    let weights = weights.with_input_size(SIZE).expect("a size");
     // Every box counts, so that each stage has something to lose.
     let thresholds = Thresholds { score: 0.0, iou, max_detections: 100, class_mask: u32::MAX };
-    Network::new(weights, thresholds).expect("a network")
+    Network::new(weights, [SIZE; 2], thresholds).expect("a network")
 }
 
 /// A run of the reference over a picture, as a device's.
@@ -36,7 +35,7 @@ impl Run {
     fn new() -> Self {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("samples/mixed.png");
         let rgba = image::open(file).expect("the sample").to_rgba8();
-        let crop = Crop::central(rgba.width() as usize, rgba.height() as usize);
+        let crop = Crop::central(rgba.width() as usize, rgba.height() as usize, SIZE);
         let words: Vec<u32> = bytemuck::pod_collect_to_vec(rgba.as_raw());
         let crop = crop.to_tensor(words.len()).expect("a crop").into();
         let pixels = Tensor::new([words.len()], words).expect("pixels").into();

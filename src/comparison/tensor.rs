@@ -154,7 +154,7 @@ mod tests {
 
     #[test]
     fn shares_by_hand() {
-        let softmax = Softmax { count: false };
+        let softmax = Softmax::default();
         let each = Tolerance::Each(vec![0.5, 0.25]);
         let within = compared(&softmax, &[1.125, 2.125], &[1.0, 2.0], &each);
         assert_eq!((within.share, within.failure), (0.5, None));
@@ -186,7 +186,7 @@ mod tests {
         assert!((bias - 64.0 * 20.0 / (21.0 * 668f64.sqrt())).abs() < 1e-3, "{bias}");
         assert!(scaled.share < 0.34 && scaled.failure.is_some_and(|f| f.contains("scaled")));
         // Other operations may be off to one side, as a driver's exponential is.
-        let other = compared(&Softmax { count: false }, &off(|_| 1.0), &want, &bounds);
+        let other = compared(&Softmax::default(), &off(|_| 1.0), &want, &bounds);
         assert!(other.bias.is_none() && other.failure.is_none());
         // The same value everywhere is one rounding.
         let flat = Tolerance::Each(vec![3.0 / 1024.0; 4096]);

@@ -4,31 +4,46 @@ use rayon::prelude::*;
 
 use crate::tensor::Tensor;
 
-/// A square part of a picture. All in pixels.
+/// A part of a picture, what it is resized to, and which window of that is wanted. All in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Crop {
     /// Width of the whole picture.
     pub width: usize,
     /// Height of the whole picture.
     pub height: usize,
-    /// Column of the crop's left edge.
+    /// Column of the part's left edge.
     pub x: usize,
-    /// Row of the crop's upper edge.
+    /// Row of the part's upper edge.
     pub y: usize,
-    /// Length of the crop's edges.
-    pub side: usize,
+    /// Columns of the part.
+    pub columns: usize,
+    /// Rows of the part.
+    pub rows: usize,
+    /// Width and height that the part is resized to, each by its own scale.
+    pub resized: [usize; 2],
+    /// Column and row of the resized part at which the output begins. Past its right and lower edge
+    /// the output repeats them.
+    pub window: [usize; 2],
 }
 
 impl Crop {
-    /// The largest square in the middle of a picture; up and left by half a pixel where the middle
-    /// is between two.
-    pub fn central(width: usize, height: usize) -> Self {
+    /// The largest square in the middle of a picture, resized to `size` × `size`; up and left by half a
+    /// pixel where the middle is between two.
+    pub fn central(width: usize, height: usize, size: usize) -> Self {
         let side = width.min(height);
-        Self { width, height, x: (width - side) / 2, y: (height - side) / 2, side }
+        let (x, y) = ((width - side) / 2, (height - side) / 2);
+        Self { width, height, x, y, columns: side, rows: side, resized: [size; 2], window: [0; 2] }
+    }
+
+    /// What output column and row `0..count` along `axis` (0 is x) see of the part.
+    pub(crate) fn filters(&self, axis: usize, count: usize) -> Vec<(usize, Vec<f64>)> {
+        let (size, side) = (self.resized[axis], [self.columns, self.rows][axis]);
+        let at = |i: usize| (i + self.window[axis]).min(size.saturating_sub(1));
+        (0..count).map(|i| triangle_filter(at(i), size, side)).collect()
     }
 }
 
-/// `(pixel / 255 − mean) / std` of the crop, resized to `[3, size, size]`.
+/// `(pixel / 255 − mean) / std` of the crop, resized: a window `[3, height, width]`.
 ///
 /// `picture` holds red in the low byte, then green, blue and alpha, which is ignored. The filter is
 /// bilinear with antialiasing: a triangle around the output's centre that reaches max(scale, 1)
@@ -37,24 +52,24 @@ impl Crop {
 pub fn crop_resize(
     picture: &Tensor<u32>,
     crop: Crop,
-    size: usize,
+    [height, width]: [usize; 2],
     mean: [f32; 3],
     std: [f32; 3],
 ) -> Tensor {
-    let filters: Vec<_> = (0..size).map(|i| triangle_filter(i, size, crop.side)).collect();
-    let mut rows = vec![[0.0; 3]; size * size];
-    rows.par_chunks_mut(size.max(1)).zip(&filters).for_each(|(out, (first, weights))| {
-        let mut line = vec![[0.0; 3]; crop.side];
+    let [columns, lines] = [crop.filters(0, width), crop.filters(1, height)];
+    let mut rows = vec![[0.0; 3]; height * width];
+    rows.par_chunks_mut(width.max(1)).zip(&lines).for_each(|(out, (first, weights))| {
+        let mut line = vec![[0.0; 3]; crop.columns];
         for (j, weight) in weights.iter().enumerate() {
             let start = (crop.y + first + j) * crop.width + crop.x;
-            for (sum, pixel) in line.iter_mut().zip(&picture.data()[start..][..crop.side]) {
+            for (sum, pixel) in line.iter_mut().zip(&picture.data()[start..][..crop.columns]) {
                 let bytes = pixel.to_le_bytes();
                 for c in 0..3 {
                     sum[c] += weight * f64::from(bytes[c]) / 255.0;
                 }
             }
         }
-        for (out, (first, weights)) in out.iter_mut().zip(&filters) {
+        for (out, (first, weights)) in out.iter_mut().zip(&columns) {
             for (weight, pixel) in weights.iter().zip(&line[*first..]) {
                 for c in 0..3 {
                     out[c] += weight * pixel[c];
@@ -62,8 +77,8 @@ pub fn crop_resize(
             }
         }
     });
-    let area = size * size;
-    Tensor::from_fn([3, size, size], |i| {
+    let area = height * width;
+    Tensor::from_fn([3, height, width], |i| {
         let c = i / area;
         ((rows[i % area][c] - f64::from(mean[c])) / f64::from(std[c])) as f32
     })

@@ -9,6 +9,7 @@ use crate::error::{Error, Result};
 use crate::gpu::{AdapterChoice, Faults, GpuOptions};
 use crate::lower::Choice;
 use crate::model::{ModelConfig, Thresholds};
+use crate::sensor::Sensor;
 
 #[cfg(doc)]
 use crate::detector::GpuDetector;
@@ -90,7 +91,11 @@ pub struct Config {
     pub weights: WeightSource,
     /// What runs the network.
     pub device: Device,
-    /// Side of the network's input in pixels, a multiple of 32; `None` for the weight file's.
+    /// What the pictures show; `None` for the paper's sensor, or what looks like it: see
+    /// [`GpuDetector::assumption`].
+    pub sensor: Option<Sensor>,
+    /// Longer side of the gel in the network's input, in pixels; `None` for the scale that the weights
+    /// know. The input has as many as the next multiple of 32.
     pub input_size: Option<usize>,
     /// A detection's score must be above this; in `[0, 1]`.
     pub score: f32,
@@ -137,6 +142,7 @@ impl Config {
         Self {
             weights,
             device: Device::default(),
+            sensor: None,
             input_size: None,
             score: 0.05,
             iou: 0.5,
@@ -156,6 +162,12 @@ impl Config {
     /// Sets [`Config::device`].
     pub fn device(mut self, device: Device) -> Self {
         self.device = device;
+        self
+    }
+
+    /// Sets [`Config::sensor`].
+    pub fn sensor(mut self, sensor: Sensor) -> Self {
+        self.sensor = Some(sensor);
         self
     }
 

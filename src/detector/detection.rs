@@ -22,9 +22,17 @@ pub struct Detection {
     /// `box`.
     #[cfg_attr(feature = "serde", serde(rename = "box"))]
     pub bbox: [f32; 4],
-    /// Centre of the box on the gel in millimetres, from the middle of the picture or of its crop: x
-    /// right, y down.
+    /// Centre of the box on the gel in millimetres, from the gel's middle: x right, y down.
     pub center_mm: [f32; 2],
+    /// Standard deviation of that centre along x and y; `None` if the weights do not tell.
+    pub center_std_mm: Option<[f32; 2]>,
+    /// Direction in which a hook's barb points, from its root to its tip: degrees in −180 to 180, 0 along
+    /// x (right), 90 along y (down). `None` for a class without direction, or if the weights do not tell.
+    pub yaw_deg: Option<f32>,
+    /// Standard deviation of that direction.
+    pub yaw_std_deg: Option<f32>,
+    /// Probability that the picture's edge does not cut the snap; `None` if the weights do not tell.
+    pub whole: Option<f32>,
 }
 
 /// What a picture holds, and what finding it took.
@@ -37,6 +45,8 @@ pub struct Detections {
     pub width: u32,
     /// Height of the picture in pixels.
     pub height: u32,
+    /// Millimetres on the gel for a pixel of the picture: the sensor's, or what was assumed.
+    pub mm_per_pixel: f32,
     /// How many proposals the last stage looked at.
     pub proposals: u32,
     /// Time by stage on the device; empty where it has no timestamps.

@@ -6,26 +6,20 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::comparison::Values;
 use crate::detector::pool::Pool;
-use crate::detector::{Config, Device, WeightSource};
-use crate::error::{Error, Result};
-use crate::gpu::{AdapterChoice, Deadline, Gpu, GpuOptions, Program, ProgramOptions};
+use crate::detector::{Config, Device};
+use crate::error::Result;
+use crate::gpu::{Deadline, Gpu, Program, ProgramOptions};
 use crate::graph::{StageTime, TensorId};
 #[cfg(feature = "cpu")]
 use crate::host::HostPlan;
 use crate::lower::{Choice, Request, lower};
-use crate::model::{Network, Weights};
+use crate::model::Network;
 use crate::tensor::Value;
 use crate::tune::{Place, Tuned};
 
 /// A network and what runs it.
 pub(super) struct Engine {
     pub network: Network,
-    /// What runs it, for people.
-    pub adapter: String,
-    /// Which kernels run it.
-    pub choice: Choice,
-    /// What went otherwise than the configuration says, for people.
-    pub remarks: Vec<String>,
     runner: Runner,
     keep: Vec<TensorId>,
 }
@@ -38,55 +32,40 @@ enum Runner {
 }
 
 impl Engine {
-    /// Loads the weights and makes the network ready on `gpu`, or on what the configuration names.
-    pub async fn new(config: &Config, gpu: Option<Arc<Gpu>>) -> Result<Self> {
-        let weights = match &config.weights {
-            WeightSource::File(path) => Weights::open(path)?,
-            WeightSource::Bytes(name, bytes) => {
-                Weights::from_shared(name, Arc::new(bytes.clone()))?
-            }
-        };
-        let weights = match config.input_size {
-            Some(size) => weights.with_input_size(size)?,
-            None => weights,
-        };
-        let thresholds = config.thresholds(weights.config())?;
-        let mut network = Network::new(weights, thresholds)?;
+    /// Makes a network ready on `gpu` or on the CPU. The weights that `like` has on the device, an engine
+    /// of the same weights, are shared.
+    pub async fn new(
+        config: &Config,
+        mut network: Network,
+        gpu: Option<&Arc<Gpu>>,
+        choice: &Choice,
+        like: Option<&Self>,
+    ) -> Result<Self> {
         let keep = match config.keep_stages {
             true => network.graph.computed(),
             false => Vec::new(),
         };
-        let gpu = match gpu {
-            Some(gpu) => Some(gpu),
-            None => open(config).await?,
-        };
-        let (mut choice, mut remarks) = (Choice::default(), Vec::new());
-        let (runner, adapter) = match (gpu, &config.device) {
+        let runner = match (gpu, &config.device) {
             (Some(gpu), _) => {
-                let adapter = format!("{} ({})", gpu.info().name, gpu.info().backend);
-                choice = choose(config, &gpu, &mut remarks);
-                let request = Request { keep: &keep, batch: 1, caps: gpu.caps(), choice: &choice };
+                let request = Request { keep: &keep, batch: 1, caps: gpu.caps(), choice };
                 let lowered = lower(&network.graph, &request)?;
-                let program = Program::new(&gpu, &lowered, None, ProgramOptions::default()).await?;
-                let pool = Pool::new(Arc::new(program), config.in_flight).await?;
-                (Runner::Gpu(pool), adapter)
+                let like = like.and_then(|engine| match &engine.runner {
+                    Runner::Gpu(pool) => Some(pool.program()),
+                    _ => None,
+                });
+                let program = Program::new(gpu, &lowered, like, ProgramOptions::default()).await?;
+                Runner::Gpu(Pool::new(Arc::new(program), config.in_flight).await?)
             }
-            (None, Device::Reference) => (Runner::Reference, "CPU reference (f64)".to_owned()),
+            (None, Device::Reference) => Runner::Reference,
             #[cfg(feature = "cpu")]
-            (None, _) => {
-                let plan = HostPlan::new(&network.graph, &keep)?;
-                (Runner::Host(Box::new(Mutex::new(plan))), "CPU (f32)".to_owned())
-            }
+            (None, _) => Runner::Host(Box::new(Mutex::new(HostPlan::new(&network.graph, &keep)?))),
             #[cfg(not(feature = "cpu"))]
-            (None, _) => {
-                let expected = "an adapter or `reference`; the CPU needs the feature `cpu`";
-                return Err(Error::param("detect", "device", expected, "`cpu`"));
-            }
+            (None, _) => Runner::Reference,
         };
         if !matches!(runner, Runner::Reference) && !config.keep_stages {
             network.graph.forget_constants();
         }
-        Ok(Self { network, adapter, choice, remarks, runner, keep })
+        Ok(Self { network, runner, keep })
     }
 
     /// The kernel of each operation, in order; none but on a GPU.
@@ -137,26 +116,6 @@ pub(super) fn choose(config: &Config, gpu: &Gpu, remarks: &mut Vec<String>) -> C
                 remarks.push(format!("{e}; going on without"));
                 Choice::default()
             }
-        },
-    }
-}
-
-/// Opens the adapter that the configuration names; `None` for the CPU.
-async fn open(config: &Config) -> Result<Option<Arc<Gpu>>> {
-    let options = |adapter: AdapterChoice| GpuOptions {
-        adapter,
-        timeout: config.timeout,
-        checked: config.checked,
-        faults: config.faults.clone(),
-    };
-    match &config.device {
-        Device::Cpu | Device::Reference => Ok(None),
-        Device::Gpu(choice) => Gpu::open(options(choice.clone())).await.map(Some),
-        Device::Auto => match Gpu::open(options(AdapterChoice::Hardware)).await {
-            // Without the CPU path a software adapter is better than nothing.
-            Err(Error::NoAdapter { .. }) if cfg!(feature = "cpu") => Ok(None),
-            Err(Error::NoAdapter { .. }) => Gpu::open(options(AdapterChoice::Auto)).await.map(Some),
-            other => other.map(Some),
         },
     }
 }

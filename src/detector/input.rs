@@ -3,58 +3,85 @@
 use std::time::Instant;
 
 use crate::comparison::Values;
+use crate::cpu::Crop;
 use crate::detector::{Detection, Detections};
 use crate::error::{Error, Result};
-use crate::frame::{Frame, Square};
+use crate::frame::Frame;
 use crate::graph::{StageTime, TensorId};
-use crate::model::Network;
-use crate::ops::Crop;
+use crate::model::{ModelConfig, Network};
+use crate::sensor::View;
 use crate::tensor::{Tensor, Value};
 
-/// A picture as the network takes it, and where its square lies.
+/// How large the network's input is for a view.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Geometry {
+    /// Width and height that the view's part is resized to.
+    pub resized: [usize; 2],
+    /// Height and width of the input, which repeats the part's right and lower edges.
+    pub size: [usize; 2],
+}
+
+impl Geometry {
+    /// The part at the network's own scale, or with `longer` pixels along its longer side.
+    ///
+    /// # Errors
+    /// [`Error::Param`] for an input past [`ModelConfig::INPUT_SIZES`].
+    pub fn new(view: &View, model: &ModelConfig, longer: Option<usize>) -> Result<Self> {
+        let part = [view.part.width, view.part.height].map(f64::from);
+        let scale = match longer {
+            Some(pixels) => pixels as f64 / part[0].max(part[1]),
+            None => f64::from(model.pixels_per_mm) * f64::from(view.mm_per_pixel),
+        };
+        let resized = part.map(|side| ((side * scale).round() as usize).max(1));
+        let [width, height] = resized.map(|side| side.next_multiple_of(32));
+        for side in [width, height] {
+            if !ModelConfig::is_input_size(side) {
+                let expected = ModelConfig::INPUT_SIZES;
+                return Err(Error::param("detect", "input_size", expected, side));
+            }
+        }
+        Ok(Self { resized, size: [height, width] })
+    }
+}
+
+/// A picture as the network takes it, and where it lies in the frame.
 pub(super) struct Input {
     pub start: Instant,
-    pub width: u32,
-    pub height: u32,
-    /// Left and upper edge of the square in the picture.
-    pub origin: [u32; 2],
-    pub side: u32,
-    /// The middle of what shows the gel.
-    pub middle: [f32; 2],
-    pub pixels: Value,
-    pub square: Value,
+    pub view: View,
+    pub geometry: Geometry,
+    pixels: Value,
+    crop: Value,
 }
 
 impl Input {
     /// # Errors
-    /// What is wrong with the frame.
-    pub fn new(frame: &Frame) -> Result<Self> {
-        let start = Instant::now();
-        let Square { x, y, side, pixels } = frame.square()?;
-        let part = frame.part();
-        let crop = Crop::central(side as usize, side as usize);
-        let square = crop.to_tensor(pixels.len())?.into();
+    /// [`Error::Capacity`] for a part of the frame that is too large.
+    pub fn new(start: Instant, frame: &Frame, view: View, geometry: Geometry) -> Result<Self> {
+        let pixels = frame.pixels(view.part)?;
+        let (columns, rows) = (view.part.width as usize, view.part.height as usize);
+        let crop = Crop {
+            width: columns,
+            height: rows,
+            x: 0,
+            y: 0,
+            columns,
+            rows,
+            resized: geometry.resized,
+            window: [0; 2],
+        };
+        let crop = crop.to_tensor(pixels.len())?.into();
         let pixels = Tensor::new([pixels.len()], pixels)?.into();
-        Ok(Self {
-            start,
-            width: frame.width,
-            height: frame.height,
-            origin: [x, y],
-            side,
-            middle: [(part.x, part.width), (part.y, part.height)]
-                .map(|(at, length)| at as f32 + length as f32 / 2.0),
-            pixels,
-            square,
-        })
+        Ok(Self { start, view, geometry, pixels, crop })
     }
 
     pub fn inputs(&self, network: &Network) -> [(TensorId, &Value); 2] {
-        [(network.picture, &self.pixels), (network.crop, &self.square)]
+        [(network.picture, &self.pixels), (network.crop, &self.crop)]
     }
 
-    /// Pixels of the picture for one of the network's input.
-    pub fn scale(&self, network: &Network) -> f32 {
-        self.side as f32 / network.config.input_size as f32
+    /// Pixels of the frame for one of the network's input, along x and y.
+    pub fn scale(&self) -> [f32; 2] {
+        let part = [self.view.part.width, self.view.part.height];
+        std::array::from_fn(|axis| part[axis] as f32 / self.geometry.resized[axis] as f32)
     }
 
     /// What the network's outputs say of the picture.
@@ -65,10 +92,12 @@ impl Input {
         stages: Vec<StageTime>,
     ) -> Result<Detections> {
         check_finite(network, values)?;
+        let [width, height] = self.view.frame;
         Ok(Detections {
             detections: self.collect(network, values)?,
-            width: self.width,
-            height: self.height,
+            width,
+            height,
+            mm_per_pixel: self.view.mm_per_pixel,
             proposals: count_of(network, values, network.proposal_count)?,
             stages,
             wall: self.start.elapsed(),
@@ -79,27 +108,42 @@ impl Input {
         let boxes = value(network, values, network.boxes)?.f32()?;
         let scores = value(network, values, network.scores)?.f32()?;
         let classes = value(network, values, network.classes)?.u32()?;
+        let poses = match network.pose {
+            Some(pose) => value(network, values, pose)?.f32()?.data().as_chunks::<5>().0,
+            None => &[],
+        };
         let count = count_of(network, values, network.count)? as usize;
         let config = &network.config;
-        let scale = self.scale(network);
-        let origin = self.origin.map(|at| at as f32);
-        let mm_per_pixel = config.mm_per_pixel_of(self.side);
+        let scale = self.scale();
+        let origin = [self.view.part.x, self.view.part.y].map(|at| at as f32);
+        let edge = self.geometry.resized.map(|side| side as f32);
         let rows = boxes.data().chunks_exact(4).zip(scores.data()).zip(classes.data());
         rows.take(count)
-            .map(|((b, score), class)| {
-                let bbox = std::array::from_fn(|i| b[i] * scale + origin[i % 2]);
-                let center = |i: usize| (bbox[i] + bbox[i + 2]) / 2.0 - self.middle[i];
+            .enumerate()
+            .map(|(i, ((b, score), class))| {
+                // What repeats the part's edge is no part of it.
+                let bbox = std::array::from_fn(|k| {
+                    let axis = k % 2;
+                    b[k].min(edge[axis]) * scale[axis] + origin[axis]
+                });
+                let center = [0, 1].map(|axis| (bbox[axis] + bbox[axis + 2]) / 2.0);
                 let class_index = (*class as usize).wrapping_sub(1);
                 let name = config.classes.get(class_index);
                 let name = name.ok_or_else(|| {
                     Error::tensor("detect", "detections.labels", "a class of the weights", class)
                 })?;
+                let pose = poses.get(i);
+                let direction = pose.filter(|_| config.directed.contains(name));
                 Ok(Detection {
                     class: name.clone(),
                     class_index,
                     score: *score,
                     bbox,
-                    center_mm: [0, 1].map(|i| center(i) * mm_per_pixel),
+                    center_mm: self.view.place_mm(center),
+                    center_std_mm: pose.map(|p| [p[2], p[3]]),
+                    yaw_deg: direction.map(|p| p[0]),
+                    yaw_std_deg: direction.map(|p| p[1]),
+                    whole: pose.map(|p| p[4]),
                 })
             })
             .collect()

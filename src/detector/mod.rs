@@ -6,11 +6,13 @@
 //! | `detection` | what it finds |
 //! | `input` | from a frame to what the network takes, and back |
 //! | `many` | many pictures, in order |
-//! | `engine`, `pool` | what runs the network; as many pictures in flight as there are slots |
+//! | `engines`, `engine` | what runs the network, for each size of input |
+//! | `pool` | as many pictures in flight as there are slots |
 
 mod config;
 mod detection;
 mod engine;
+mod engines;
 mod input;
 mod many;
 mod pool;
@@ -21,19 +23,21 @@ use std::time::{Duration, Instant};
 
 use crate::comparison::{self, StageComparison, Values};
 use crate::error::{Error, Result};
-use crate::frame::{Frame, PixelFormat};
+use crate::frame::{Frame, PixelFormat, Rect};
 use crate::gpu::{Deadline, Gpu};
 use crate::graph::{StageTime, TensorId};
 use crate::lower::Choice;
 use crate::model::ModelConfig;
 use crate::profile::{self, CommandTime};
+use crate::sensor::{self, Sensor, View};
 use crate::tensor::Value;
 use crate::tune::{self, Tuned};
 
 pub use config::{Config, Device, WeightSource};
 pub use detection::{Comparison, Detection, Detections};
 use engine::Engine;
-use input::Input;
+use engines::Engines;
+use input::{Geometry, Input};
 
 /// Tensors of every stage, by the PyTorch reference's names.
 pub type Stages = Vec<(String, Value)>;
@@ -46,8 +50,8 @@ pub struct GpuDetector {
     model: ModelConfig,
     adapter: String,
     /// Replaced when the device was lost.
-    engine: RwLock<Arc<Engine>>,
-    /// Held while the engine is rebuilt.
+    engines: RwLock<Arc<Engines>>,
+    /// Held while the engines are rebuilt.
     rebuilding: Mutex<()>,
     /// Whether the device is the caller's, who alone can replace it.
     foreign: bool,
@@ -56,18 +60,20 @@ pub struct GpuDetector {
 impl fmt::Debug for GpuDetector {
     /// A line: what runs which network.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let ModelConfig { input_size, classes, .. } = &self.model;
-        let (classes, adapter) = (classes.join(", "), self.adapter());
-        write!(f, "GpuDetector({input_size} × {input_size}, classes {classes}, on {adapter})")
+        let (classes, adapter) = (self.model.classes.join(", "), self.adapter());
+        let sensor = self.config.sensor.as_ref().map_or("none named", |sensor| &sensor.name);
+        write!(f, "GpuDetector(classes {classes}, sensor {sensor}, on {adapter})")
     }
 }
 
 impl GpuDetector {
-    /// Loads the weights, opens the device, compiles the shaders and allocates the buffers.
+    /// Loads the weights, opens the device, compiles the shaders and allocates the buffers, as far as
+    /// the pictures' size is known: with a sensor that takes frames of any size the first picture of
+    /// each size does the rest.
     ///
     /// # Errors
-    /// [`Error::Weights`], [`Error::NoAdapter`], [`Error::Device`], [`Error::Shader`], or
-    /// [`Error::Param`] for a threshold out of its range or an unknown class.
+    /// [`Error::Weights`], [`Error::NoAdapter`], [`Error::Device`], [`Error::Shader`],
+    /// [`Error::Sensor`], or [`Error::Param`] for a threshold out of its range or an unknown class.
     pub fn new(config: Config) -> Result<Self> {
         pollster::block_on(Self::new_async(config))
     }
@@ -91,10 +97,68 @@ impl GpuDetector {
 
     async fn build(config: Config, gpu: Option<Arc<Gpu>>) -> Result<Self> {
         let foreign = gpu.is_some();
-        let engine = Engine::new(&config, gpu).await?;
-        let (model, adapter) = (engine.network.config.clone(), engine.adapter.clone());
-        let (engine, rebuilding) = (RwLock::new(Arc::new(engine)), Mutex::new(()));
-        Ok(Self { config, model, adapter, engine, rebuilding, foreign })
+        if let Some(sensor) = &config.sensor {
+            sensor.check()?;
+        }
+        let engines = Engines::open(&config, gpu).await?;
+        let (model, adapter) = (engines.model().clone(), engines.adapter.clone());
+        let (engines, rebuilding) = (RwLock::new(Arc::new(engines)), Mutex::new(()));
+        let detector = Self { config, model, adapter, engines, rebuilding, foreign };
+        match detector.usual_frame() {
+            Some(frame) => detector.engine_for(frame).map(|_| ())?,
+            None => detector.engines().check()?,
+        }
+        Ok(detector)
+    }
+
+    /// Width and height of frames, if they are known before any comes.
+    fn usual_frame(&self) -> Option<[u32; 2]> {
+        match &self.config.sensor {
+            Some(sensor) => sensor.frame,
+            None => Some([1000, 1000]),
+        }
+    }
+
+    /// The engine for frames of this width and height.
+    fn engine_for(&self, frame: [u32; 2]) -> Result<Arc<Engine>> {
+        let view = self.view(frame, None)?;
+        let geometry = Geometry::new(&view, &self.model, self.config.input_size)?;
+        self.engines().engine(geometry.size)
+    }
+
+    /// What a frame of this width and height shows, or its part `crop`.
+    fn view(&self, frame: [u32; 2], crop: Option<Rect>) -> Result<View> {
+        match &self.config.sensor {
+            Some(sensor) => sensor.view(frame, crop),
+            None => Ok(sensor::assumed(frame, crop)),
+        }
+    }
+
+    /// Checks a frame and brings it to what the network takes.
+    fn input(&self, frame: &Frame) -> Result<Input> {
+        let start = Instant::now();
+        frame.check()?;
+        let size = [frame.width, frame.height];
+        let view = match frame.mm_per_pixel {
+            Some(scale) => {
+                let sensor = Sensor::of_scale(scale);
+                sensor.check()?;
+                sensor.view(size, frame.crop)?
+            }
+            None => self.view(size, frame.crop)?,
+        };
+        let geometry = Geometry::new(&view, &self.model, self.config.input_size)?;
+        Input::new(start, frame, view, geometry)
+    }
+
+    /// What is assumed of frames of this width and height that cannot be the paper's sensor's, in a line:
+    /// if [`Config::sensor`] names none, their millimetres may be wrong, and snaps may be missed because
+    /// of it.
+    pub fn assumption(&self, width: u32, height: u32) -> Option<String> {
+        match self.config.sensor {
+            Some(_) => None,
+            None => sensor::assumption([width, height]),
+        }
     }
 
     /// The network's configuration.
@@ -109,13 +173,13 @@ impl GpuDetector {
 
     /// Which kernels run the network on a GPU: equal bits are promised for equal choices.
     pub fn choice(&self) -> Choice {
-        self.engine().choice.clone()
+        self.engines().choice.clone()
     }
 
     /// What went otherwise than the configuration says, a line each: a damaged file with a choice of
     /// kernels, say, that was passed over.
     pub fn remarks(&self) -> Vec<String> {
-        self.engine().remarks.clone()
+        self.engines().remarks.clone()
     }
 
     /// Measures which kernels are fastest on `gpu` for this network: see [`crate::tune`]. The detector
@@ -129,8 +193,8 @@ impl GpuDetector {
         limit: Duration,
         progress: impl FnMut(usize, usize),
     ) -> Result<Tuned> {
-        let engine = self.engine();
-        let input = Input::new(&self.noise())?;
+        let input = self.input(&self.noise())?;
+        let engine = self.engines().engine(input.geometry.size)?;
         let inputs = input.inputs(&engine.network);
         tune::tune(gpu, &engine.network.graph, &inputs, limit, progress)
     }
@@ -141,8 +205,8 @@ impl GpuDetector {
     /// # Errors
     /// As [`profile::commands`].
     pub fn profile(&self, gpu: &Arc<Gpu>, runs: usize) -> Result<Vec<CommandTime>> {
-        let engine = self.engine();
-        let input = Input::new(&self.noise())?;
+        let input = self.input(&self.noise())?;
+        let engine = self.engines().engine(input.geometry.size)?;
         let inputs = input.inputs(&engine.network);
         let mut remarks = Vec::new();
         let choice = engine::choose(&self.config, gpu, &mut remarks);
@@ -151,18 +215,18 @@ impl GpuDetector {
 
     /// A picture of the sensor's size in which there is something everywhere.
     fn noise(&self) -> Frame<'static> {
-        let side = self.model.picture_size;
+        let [width, height] = self.usual_frame().unwrap_or([1000, 1000]);
         let pixel = |i: usize| ((i as u32).wrapping_mul(2_654_435_761) >> 24) as u8;
-        let pixels: Vec<u8> = (0..side as usize * side as usize).map(pixel).collect();
-        Frame::new(pixels, side, side, PixelFormat::Gray8)
+        let pixels: Vec<u8> = (0..width as usize * height as usize).map(pixel).collect();
+        Frame::new(pixels, width, height, PixelFormat::Gray8)
     }
 
-    fn engine(&self) -> Arc<Engine> {
-        self.engine.read().unwrap_or_else(PoisonError::into_inner).clone()
+    fn engines(&self) -> Arc<Engines> {
+        self.engines.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Finds the snaps in a picture of the crate [`image`], of any size and kind of pixel. The network
-    /// sees the largest centred square.
+    /// Finds the snaps in a picture of the crate [`image`], of any kind of pixel. The network sees what
+    /// [`Config::sensor`] says is gel.
     ///
     /// # Errors
     /// As [`GpuDetector::detect_frame`].
@@ -171,12 +235,14 @@ impl GpuDetector {
         self.detect_frame(&Frame::from(picture))
     }
 
-    /// Finds the snaps in a picture in memory, of any size. The network sees the largest centred
-    /// square of it or of its crop.
+    /// Finds the snaps in a picture in memory. The network sees what [`Config::sensor`] says is gel;
+    /// without a sensor, and in a frame that cannot be the paper's, the largest centred square of it or
+    /// of its crop.
     ///
     /// # Errors
     /// [`Error::Picture`] for an empty picture, [`Error::Param`] for a frame whose buffer does not
-    /// hold what it says, [`Error::Capacity`] for one past the device's largest binding,
+    /// hold what it says, [`Error::Sensor`] for one that cannot be the sensor's, [`Error::Capacity`]
+    /// for one past the device's largest binding,
     /// [`Error::DeviceLost`], [`Error::Timeout`] or [`Error::Driver`] from the device,
     /// [`Error::NotFinite`] if the network overflowed.
     pub fn detect_frame(&self, frame: &Frame) -> Result<Detections> {
@@ -190,7 +256,7 @@ impl GpuDetector {
     /// As [`GpuDetector::detect_frame`].
     pub async fn detect_async(&self, frame: &Frame<'_>) -> Result<Detections> {
         let deadline = Deadline::after(self.config.timeout);
-        let input = Input::new(frame)?;
+        let input = self.input(frame)?;
         Ok(self.look(&input, deadline).await?.1)
     }
 
@@ -213,9 +279,9 @@ impl GpuDetector {
     pub fn detect_with_stages(&self, frame: &Frame) -> Result<(Detections, Stages)> {
         self.check_keeps_stages()?;
         let deadline = Deadline::after(self.config.timeout);
-        let input = Input::new(frame)?;
+        let input = self.input(frame)?;
         let (mut values, detections) = pollster::block_on(self.look(&input, deadline))?;
-        let engine = self.engine();
+        let engine = self.engines().engine(input.geometry.size)?;
         let graph = &engine.network.graph;
         let named = |id: TensorId| Some((graph.name(id).to_owned(), values.remove(&id)?));
         Ok((detections, graph.computed().into_iter().filter_map(named).collect()))
@@ -227,21 +293,21 @@ impl GpuDetector {
     /// # Errors
     /// As [`GpuDetector::detect_frame`]; [`Error::Param`] without `keep_stages` or a GPU.
     pub fn compare(&self, frame: &Frame) -> Result<Comparison> {
-        let engine = self.engine();
+        let mut input = self.input(frame)?;
+        let engine = self.engines().engine(input.geometry.size)?;
         if !engine.is_gpu() {
             return Err(Error::param("compare", "device", "a GPU", "the CPU"));
         }
         self.check_keeps_stages()?;
-        let input = Input::new(frame)?;
         let network = &engine.network;
         let deadline = Deadline::after(self.config.timeout);
         let (got, times) = pollster::block_on(engine.run(&input.inputs(network), deadline))?;
         let found = input.detections(network, &got, times)?;
-        let input = Input { start: Instant::now(), ..input };
+        input.start = Instant::now();
         let inputs = input.inputs(network);
         let (want, times) = network.graph.reference(&inputs, &network.graph.computed())?;
         let expected = input.detections(network, &want, times)?;
-        let scale = f64::from(input.scale(network));
+        let scale = input.scale().into_iter().map(f64::from).fold(0.0, f64::max);
         let outcome = comparison::compare(network, &inputs, &got, &want, scale, engine.kernels())?;
         let time = |stage: &str| found.stages.iter().find(|t| t.stage == stage).map(|t| t.time);
         let stages = expected.stages.iter().zip(outcome.stages);
@@ -251,7 +317,7 @@ impl GpuDetector {
             reference_time: reference.time,
             tensors,
         });
-        let mm_per_pixel = f64::from(network.config.mm_per_pixel_of(input.side));
+        let mm_per_pixel = f64::from(input.view.mm_per_pixel);
         Ok(Comparison {
             stages: stages.collect(),
             proposals: outcome.proposals,
@@ -273,11 +339,11 @@ impl GpuDetector {
     /// Looks at a picture. The values are the outputs, or with `keep_stages` those of every stage, cut
     /// to their valid rows. On a lost device it looks once more, on a new one.
     async fn look(&self, input: &Input, deadline: Deadline) -> Result<(Values, Detections)> {
-        let engine = self.engine();
-        match self.look_with(&engine, input, deadline).await {
+        let engines = self.engines();
+        match self.look_with(&engines, input, deadline).await {
             Err(Error::DeviceLost(_)) if self.config.rebuild_on_loss && !self.foreign => {
-                let engine = self.rebuild(&engine).await?;
-                self.look_with(&engine, input, deadline).await
+                let engines = self.rebuild(&engines)?;
+                self.look_with(&engines, input, deadline).await
             }
             other => other,
         }
@@ -285,10 +351,11 @@ impl GpuDetector {
 
     async fn look_with(
         &self,
-        engine: &Engine,
+        engines: &Engines,
         input: &Input,
         deadline: Deadline,
     ) -> Result<(Values, Detections)> {
+        let engine = engines.engine(input.geometry.size)?;
         let network = &engine.network;
         let inputs = input.inputs(network);
         let (mut values, times): (Values, Vec<StageTime>) = engine.run(&inputs, deadline).await?;
@@ -299,17 +366,16 @@ impl GpuDetector {
         Ok((values, detections))
     }
 
-    /// Puts an engine on a new device in place of `lost`, unless another thread has.
-    async fn rebuild(&self, lost: &Arc<Engine>) -> Result<Arc<Engine>> {
-        // Not held across a wait of this future: building blocks this thread anyway.
+    /// Opens a new device in place of that of `lost`, unless another thread has.
+    fn rebuild(&self, lost: &Arc<Engines>) -> Result<Arc<Engines>> {
         let _one = self.rebuilding.lock().unwrap_or_else(PoisonError::into_inner);
-        let current = self.engine();
+        let current = self.engines();
         if !Arc::ptr_eq(&current, lost) {
             return Ok(current);
         }
-        let engine = Arc::new(pollster::block_on(Engine::new(&self.config, None))?);
-        *self.engine.write().unwrap_or_else(PoisonError::into_inner) = engine.clone();
-        Ok(engine)
+        let engines = Arc::new(pollster::block_on(Engines::open(&self.config, None))?);
+        *self.engines.write().unwrap_or_else(PoisonError::into_inner) = engines.clone();
+        Ok(engines)
     }
 }
 
@@ -330,11 +396,16 @@ mod tests {
             score: 0.75,
             bbox: [1.0, 2.5, 3.0, 4.0],
             center_mm: [-0.5, 0.25],
+            center_std_mm: Some([0.125, 0.0625]),
+            yaw_deg: None,
+            yaw_std_deg: None,
+            whole: Some(0.5),
         };
         let found = Detections {
             detections: vec![detection],
             width: 640,
             height: 480,
+            mm_per_pixel: 0.0625,
             proposals: 7,
             stages,
             wall: Duration::from_millis(20),
@@ -343,9 +414,10 @@ mod tests {
         let want = serde_json::json!({
             "detections": [{
                 "class": "B", "class_index": 1, "score": 0.75,
-                "box": [1.0, 2.5, 3.0, 4.0], "center_mm": [-0.5, 0.25]
+                "box": [1.0, 2.5, 3.0, 4.0], "center_mm": [-0.5, 0.25],
+                "center_std_mm": [0.125, 0.0625], "yaw_deg": null, "yaw_std_deg": null, "whole": 0.5
             }],
-            "width": 640, "height": 480, "proposals": 7,
+            "width": 640, "height": 480, "mm_per_pixel": 0.0625, "proposals": 7,
             "stages": [{"stage": "input", "ms": 1.5}],
             "wall_ms": 20.0
         });
@@ -364,9 +436,10 @@ mod tests {
         let line = format!("{config:?}");
         assert!(line.contains(&format!(r#"Bytes("memory", {length} bytes)"#)), "{line}");
         let detector = GpuDetector::new(config).expect("a detector");
-        let want = "GpuDetector(320 × 320, classes A, B, on CPU reference (f64))";
+        let want = "GpuDetector(classes A, B, sensor none named, on CPU reference (f64))";
         assert_eq!(format!("{detector:?}"), want);
-        let network = format!("{:?}", detector.engine().network);
+        let network =
+            format!("{:?}", detector.engine_for([1000, 1000]).expect("an engine").network);
         let start = "Network(320 × 320, classes A, B, Graph(";
         assert!(network.starts_with(start) && network.len() < 100, "{network}");
     }

@@ -4,14 +4,14 @@ use rayon::prelude::*;
 
 use super::gemm::vectorised;
 use super::kernel::{Data, Kernel};
-use crate::cpu::{Crop, triangle_filter};
+use crate::cpu::Crop;
 use crate::ops::CropResize;
 use crate::tensor::Tensor;
 
 /// Bytes of a packed pixel; the last, alpha, is ignored.
 const RGBA: usize = 4;
 
-/// Crop and resize to `[S, S, 3]`.
+/// Crop and resize to `[H, W, 3]`.
 #[derive(Debug)]
 pub(super) struct Resize {
     pub op: CropResize,
@@ -22,13 +22,11 @@ impl Kernel for Resize {
         let (picture, words) = (inputs[0].u32()?, inputs[1].u32()?);
         let words = Tensor::new([words.len()], words.to_vec())?;
         let crop = Crop::from_tensor(&words, picture.len())?;
-        let size = self.op.size;
-        let filters: Vec<(usize, Vec<f32>)> = (0..size)
-            .map(|i| {
-                let (first, weights) = triangle_filter(i, size, crop.side);
-                (first, weights.into_iter().map(|w| w as f32).collect())
-            })
-            .collect();
+        let filters = |axis: usize, count: usize| -> Vec<(usize, Vec<f32>)> {
+            let narrow = |w: Vec<f64>| w.into_iter().map(|w| w as f32).collect();
+            crop.filters(axis, count).into_iter().map(|(first, w)| (first, narrow(w))).collect()
+        };
+        let [columns, rows] = [filters(0, self.op.width), filters(1, self.op.height)];
         let bytes: &[u8] = bytemuck::cast_slice(picture);
         // Levels are summed as differences from the mean's whole level, which are exact: what is
         // left of the mean is small, so little cancels.
@@ -38,14 +36,14 @@ impl Kernel for Resize {
         let scale = self.op.std.map(|s| (1.0 / (255.0 * f64::from(s))) as f32);
         let rest: [f32; 3] =
             std::array::from_fn(|c| (shift[c].1 / f64::from(self.op.std[c])) as f32);
-        outputs[0].par_chunks_mut(size * 3).zip(&filters).for_each_init(
-            || vec![0.0f32; crop.side * RGBA],
+        outputs[0].par_chunks_mut(self.op.width * 3).zip(&rows).for_each_init(
+            || vec![0.0f32; crop.columns * RGBA],
             |line, (out, (first, weights))| {
                 vectorised(|| {
                     line.fill(0.0);
                     for (j, weight) in weights.iter().enumerate() {
                         let start = ((crop.y + first + j) * crop.width + crop.x) * RGBA;
-                        let row = &bytes[start..][..crop.side * RGBA];
+                        let row = &bytes[start..][..crop.columns * RGBA];
                         for (sums, pixel) in line.chunks_exact_mut(RGBA).zip(row.chunks_exact(RGBA))
                         {
                             for c in 0..RGBA {
@@ -53,7 +51,7 @@ impl Kernel for Resize {
                             }
                         }
                     }
-                    for (out, (first, weights)) in out.chunks_exact_mut(3).zip(&filters) {
+                    for (out, (first, weights)) in out.chunks_exact_mut(3).zip(&columns) {
                         let mut sum = [0.0f32; RGBA];
                         let pixels = line[first * RGBA..].chunks_exact(RGBA);
                         for (weight, pixel) in weights.iter().zip(pixels) {

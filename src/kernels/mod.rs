@@ -16,6 +16,7 @@ mod channel_pool;
 mod conv2d;
 mod crop_resize;
 mod decode_detections;
+mod decode_pose;
 mod decode_proposals;
 mod gather_rows;
 mod global_avg_pool;
@@ -184,6 +185,7 @@ static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
     ),
     ("crop_resize", &[&crop_resize::Quads, &crop_resize::Planar]),
     ("decode_detections", &[&decode_detections::Planar]),
+    ("decode_pose", &[&decode_pose::Planar]),
     ("decode_proposals", &[&decode_proposals::Planar]),
     ("gather_rows", &[&gather_rows::Planar]),
     ("global_avg_pool", &[&global_avg_pool::Quads, &global_avg_pool::Planar]),

@@ -12,6 +12,7 @@ shader_params! {
     struct Params {
         rows: u32,
         columns: u32,
+        scale: f32,
         zero: u32,
     }
 }
@@ -42,13 +43,18 @@ impl Kernel for Planar {
         inputs: &[TensorId],
         outputs: &[TensorId],
     ) -> Result<()> {
-        let _op: &Softmax = work.op()?;
+        let op: &Softmax = work.op()?;
         let [rows, columns] = [0, 1].map(|i| recording.dims(inputs[0])[i]);
         let given = inputs.get(1).copied();
         let count = count_tensor(recording, given, rows);
         let grid = row_grid(recording, given, rows, LANES as usize, LANES)?;
         let bindings = [("input", inputs[0]), ("count", count), ("output", outputs[0])];
-        let params = Params { rows: rows as u32, columns: columns as u32, zero: 0 };
+        let params = Params {
+            rows: rows as u32,
+            columns: columns as u32,
+            scale: 1.0 / op.temperature,
+            zero: 0,
+        };
         recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }

@@ -1,4 +1,5 @@
-//! SAFE-Net: ResNet-34 with a CBAM after conv1 and after each of its four stages.
+//! SAFE-Net: a ResNet of basic blocks, ResNet-34 in the paper, with a CBAM after conv1 and after each
+//! of its four stages.
 
 use crate::error::Result;
 use crate::graph::{Graph, TensorId};
@@ -8,38 +9,36 @@ use crate::model::layers::conv_bn;
 use crate::model::weights::Weights;
 use crate::ops::{Conv2d, MaxPool2d};
 
-/// Output channels and number of basic blocks of conv2_x to conv5_x.
-const STAGES: [(usize, usize); 4] = [(64, 3), (128, 4), (256, 6), (512, 3)];
-
 /// What the backbone gives, each map after its stage's attention.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Features {
-    /// For MSFF-Net: conv3_x, conv4_x and conv5_x, 128, 256 and 512 channels at strides 8, 16, 32.
+    /// For MSFF-Net: conv3_x, conv4_x and conv5_x at strides 8, 16, 32.
     Scales([TensorId; 3]),
     /// Without it: conv4_x alone. Nothing reads conv5_x then, and no weight file has it.
     Conv4(TensorId),
 }
 
-/// Appends the backbone to `input` `[3, S, S]`, as far as the variant needs it.
+/// Appends the backbone to `input` `[3, H, W]`, as far as the variant needs it.
 pub(super) fn backbone(
     graph: &mut Graph,
     weights: &mut Weights,
     input: TensorId,
 ) -> Result<Features> {
-    let Variant { safe: attention, msff, .. } = weights.config().variant;
+    let config = weights.config().clone();
+    let Variant { safe: attention, msff, .. } = config.variant;
     graph.begin_stage("backbone.conv1");
     let conv1 = Conv2d { stride: 2, padding: 3, relu: true, ..Conv2d::default() };
     let names = ("backbone.conv1", "backbone.bn1");
-    let mut x = conv_bn(graph, weights, names, conv1, [64, 3, 7, 7], &[input])?;
+    let mut x = conv_bn(graph, weights, names, conv1, [config.stem, 3, 7, 7], &[input])?;
     if attention {
         x = cbam(graph, weights, "backbone.cbam1", x)?;
     }
     let pool = MaxPool2d { kernel: 3, stride: 2, padding: 1 };
     x = graph.apply1("backbone.maxpool", pool, &[x])?;
-    let mut in_channels = 64;
+    let mut in_channels = config.stem;
     let mut features = Vec::new();
-    let stages = if msff { STAGES.len() } else { STAGES.len() - 1 };
-    for (index, (channels, blocks)) in STAGES.into_iter().take(stages).enumerate() {
+    let stages = config.channels.into_iter().zip(config.blocks);
+    for (index, (channels, blocks)) in stages.take(if msff { 4 } else { 3 }).enumerate() {
         let name = format!("backbone.layer{}", index + 1);
         graph.begin_stage(&name);
         for block in 0..blocks {

@@ -3,10 +3,12 @@
 use std::fmt::Debug;
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::ops::{MEAN, STD};
 
-/// Largest input: conv1's output, 64 channels at half the size, must fit a binding of 128 MiB.
+/// Longest side of the input: conv1's output, 64 channels at half the size, must fit a binding of
+/// 128 MiB.
 const MAX_INPUT: usize = 1440;
 /// Most classes: 100 proposals in each must fit the 1024 boxes of one non-maximum suppression.
 const MAX_CLASSES: usize = 10;
@@ -18,40 +20,79 @@ const MAX_ANCHORS: usize = 64;
 const ANCHOR_SIZE: [f32; 2] = [1.0, 2048.0];
 /// Ratios of anchors.
 const ANCHOR_RATIO: [f32; 2] = [0.01, 100.0];
-/// Millimetres a pixel: from below the wavelength of light to a centimetre.
+/// Pixels of the network's input for a millimetre of gel.
+const PIXELS_PER_MM: [f32; 2] = [1e-3, 1e6];
+/// Millimetres a pixel in format 1: from below the wavelength of light to a centimetre.
 const MM_PER_PIXEL: [f32; 2] = [1e-4, 10.0];
-/// Longest side of the sensor's picture, as of a crop.
+/// Longest side of the sensor's picture in format 1, as of a crop.
 const MAX_PICTURE: u32 = 65_535;
-/// Largest reduction: the narrowest map with attention has so many channels.
-const MAX_REDUCTION: usize = 64;
+/// Most channels of a map, and units of a layer.
+const MAX_CHANNELS: usize = 4096;
+/// Most basic blocks of a stage: that of the deepest ResNet has 36.
+const MAX_BLOCKS: usize = 64;
+/// Temperatures.
+const TEMPERATURE: [f32; 2] = [1e-2, 1e2];
+/// Side of the paper's gel in millimetres: what a picture shows of which nothing else is known.
+pub(crate) const PAPER_MM: f32 = 40.0;
 
-/// Configuration of a network, kept as JSON under `config` in the weight file's metadata.
+/// Configuration of a network, kept as JSON under `config` in the weight file's metadata; its format
+/// is 2. `weights/README.md` has each key, and those of format 1, which is read too.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelConfig {
-    /// Version of this structure; 1.
+    /// Version of this structure; 2.
     pub format: u32,
-    /// Side of the network's square input in pixels, a multiple of 32.
-    pub input_size: usize,
+    /// Scale of the network's input: pixels for a millimetre of gel.
+    pub pixels_per_mm: f32,
     /// Mean of each channel of pictures scaled to [0, 1].
     pub mean: [f32; 3],
     /// Standard deviation of each channel.
     pub std: [f32; 3],
     /// Class names without the background.
     pub classes: Vec<String>,
+    /// Names of the classes that have a direction.
+    pub directed: Vec<String>,
     /// Anchor sizes (square root of the area) in pixels of the network's input.
     pub anchor_sizes: Vec<f32>,
     /// Anchor ratios, height over width.
     pub anchor_ratios: Vec<f32>,
-    /// Millimetres on the gel for one pixel of the sensor's picture, `picture_size` pixels wide.
-    pub mm_per_pixel: f32,
-    /// Side of the sensor's square picture in pixels.
-    pub picture_size: u32,
     /// Pixels of the network's input for one cell of the map that the RPN sees.
     pub stride: usize,
-    /// Reduction of the channel attention's hidden layer.
-    pub reduction: usize,
     /// Which of the paper's modules the network has.
     pub variant: Variant,
+    /// Channels of conv1's output.
+    pub stem: usize,
+    /// Channels of the outputs of conv2_x to conv5_x.
+    pub channels: [usize; 4],
+    /// Basic blocks of conv2_x to conv5_x.
+    pub blocks: [usize; 4],
+    /// Reduction of the channel attention's hidden layer.
+    pub reduction: usize,
+    /// Channels of each scale in the fusion, and of the fused map.
+    pub fused: usize,
+    /// Channels of RW-Net's convolutions, and units of its hidden layer.
+    pub reweight: usize,
+    /// Units of each of the RoI head's two layers.
+    pub head: usize,
+    /// Whether the RoI head tells the pose.
+    pub pose: bool,
+    /// What the classes' logits are divided by, so that scores are probabilities.
+    pub temperature: f32,
+}
+
+/// Format 1: one network, on square pictures of one sensor.
+#[derive(Deserialize)]
+struct Format1 {
+    input_size: usize,
+    mean: [f32; 3],
+    std: [f32; 3],
+    classes: Vec<String>,
+    anchor_sizes: Vec<f32>,
+    anchor_ratios: Vec<f32>,
+    mm_per_pixel: f32,
+    picture_size: u32,
+    stride: usize,
+    reduction: usize,
+    variant: Variant,
 }
 
 /// The paper's ablations (its table of modules): each module on or off.
@@ -71,15 +112,67 @@ impl ModelConfig {
     /// # Errors
     /// In words: what is missing or out of range.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let config: Self = serde_json::from_str(text).map_err(|e| format!("config: {e}"))?;
+        let fail = |e: serde_json::Error| format!("config: {e}");
+        let value: Value = serde_json::from_str(text).map_err(fail)?;
+        let config = match value.get("format").and_then(Value::as_u64) {
+            Some(1) => Self::from_format_1(serde_json::from_str(text).map_err(fail)?)?,
+            _ => serde_json::from_str(text).map_err(fail)?,
+        };
         config.check()?;
         Ok(config)
+    }
+
+    fn from_format_1(old: Format1) -> Result<Self, String> {
+        let fits = Self::is_input_size(old.input_size);
+        expect(fits, "input_size", Self::INPUT_SIZES.into(), &old.input_size)?;
+        number("mm_per_pixel", old.mm_per_pixel, MM_PER_PIXEL)?;
+        let fits = (1..=MAX_PICTURE).contains(&old.picture_size);
+        expect(fits, "picture_size", format!("1 to {MAX_PICTURE}"), &old.picture_size)?;
+        let field = f64::from(old.mm_per_pixel) * f64::from(old.picture_size);
+        Ok(Self {
+            pixels_per_mm: (old.input_size as f64 / field) as f32,
+            mean: old.mean,
+            std: old.std,
+            classes: old.classes,
+            anchor_sizes: old.anchor_sizes,
+            anchor_ratios: old.anchor_ratios,
+            stride: old.stride,
+            variant: old.variant,
+            reduction: old.reduction,
+            ..Self::large()
+        })
+    }
+
+    /// The paper's network, as all of format 1: ResNet-34's widths, without pose. What depends on the
+    /// data is that of pictures in the middle of their range, with anchors of 32, 48 and 72 pixels.
+    pub fn large() -> Self {
+        Self {
+            format: 2,
+            pixels_per_mm: 8.0,
+            mean: [0.5; 3],
+            std: [0.2; 3],
+            classes: vec!["A".into(), "B".into()],
+            directed: Vec::new(),
+            anchor_sizes: vec![32.0, 48.0, 72.0],
+            anchor_ratios: vec![0.5, 1.0, 2.0],
+            stride: 8,
+            variant: Variant { safe: true, msff: true, rw: true },
+            stem: 64,
+            channels: [64, 128, 256, 512],
+            blocks: [3, 4, 6, 3],
+            reduction: 16,
+            fused: 256,
+            reweight: 64,
+            head: 512,
+            pose: false,
+            temperature: 1.0,
+        }
     }
 
     /// What [`ModelConfig::is_input_size`] admits, in words.
     pub const INPUT_SIZES: &str = "a multiple of 32 from 32 to 1440";
 
-    /// Whether the network's input may have sides of so many pixels.
+    /// Whether the network's input may have a side of so many pixels.
     pub fn is_input_size(size: usize) -> bool {
         size.is_multiple_of(32) && (32..=MAX_INPUT).contains(&size)
     }
@@ -89,20 +182,11 @@ impl ModelConfig {
     /// # Errors
     /// In words: the first that is out of it.
     pub(super) fn check(&self) -> Result<(), String> {
-        let expect = |fits: bool, name: &str, expected: String, got: &dyn Debug| match fits {
-            true => Ok(()),
-            false => Err(format!("config: {name}: expected {expected}, got {got:?}")),
-        };
-        let number = |name: &str, value: f32, [least, most]: [f32; 2]| {
-            let expected = format!("a number from {least} to {most}");
-            expect((least..=most).contains(&value), name, expected, &value)
-        };
         let numbers = |name: &str, values: &[f32], range| {
             values.iter().try_for_each(|value| number(name, *value, range))
         };
-        expect(self.format == 1, "format", "1".into(), &self.format)?;
-        let fits = Self::is_input_size(self.input_size);
-        expect(fits, "input_size", Self::INPUT_SIZES.into(), &self.input_size)?;
+        expect(self.format == 2, "format", "1 or 2".into(), &self.format)?;
+        number("pixels_per_mm", self.pixels_per_mm, PIXELS_PER_MM)?;
         let stride = if self.variant.msff { 8 } else { 16 };
         let expected = format!("{stride} for the variant");
         expect(self.stride == stride, "stride", expected, &self.stride)?;
@@ -119,6 +203,10 @@ impl ModelConfig {
             let fits = self.classes[..i].iter().all(|other| other.to_lowercase() != lower);
             expect(fits, "classes", "different names".into(), name)?;
         }
+        for name in &self.directed {
+            let fits = self.classes.contains(name);
+            expect(fits, "directed", "names of classes".into(), name)?;
+        }
         numbers("anchor_sizes", &self.anchor_sizes, ANCHOR_SIZE)?;
         numbers("anchor_ratios", &self.anchor_ratios, ANCHOR_RATIO)?;
         let (sizes, ratios) = (self.anchor_sizes.len(), self.anchor_ratios.len());
@@ -130,19 +218,29 @@ impl ModelConfig {
         let flat = anchors.iter().find(|[x1, y1, x2, y2]| x1 >= x2 || y1 >= y2);
         let expected = "anchors that cover a pixel".into();
         expect(flat.is_none(), "anchor_sizes and anchor_ratios", expected, &flat)?;
-        number("mm_per_pixel", self.mm_per_pixel, MM_PER_PIXEL)?;
-        let expected = format!("1 to {MAX_PICTURE}");
-        let fits = (1..=MAX_PICTURE).contains(&self.picture_size);
-        expect(fits, "picture_size", expected, &self.picture_size)?;
-        let expected = format!("1 to {MAX_REDUCTION}");
-        let fits = (1..=MAX_REDUCTION).contains(&self.reduction);
-        expect(fits, "reduction", expected, &self.reduction)
+        let count = |name: &str, value: usize, most: usize| {
+            expect((1..=most).contains(&value), name, format!("1 to {most}"), &value)
+        };
+        count("stem", self.stem, MAX_CHANNELS)?;
+        self.channels.iter().try_for_each(|c| count("channels", *c, MAX_CHANNELS))?;
+        self.blocks.iter().try_for_each(|b| count("blocks", *b, MAX_BLOCKS))?;
+        count("fused", self.fused, MAX_CHANNELS)?;
+        count("reweight", self.reweight, MAX_CHANNELS)?;
+        count("head", self.head, MAX_CHANNELS)?;
+        // Of the maps with attention the narrowest has as many hidden units at least as one.
+        let narrowest = self.channels.iter().chain([&self.stem, &self.fused]).min();
+        count("reduction", self.reduction, narrowest.map_or(1, |n| *n))?;
+        number("temperature", self.temperature, TEMPERATURE)
     }
 
-    /// Millimetres on the gel for one pixel of a picture whose largest centred square has `side`
-    /// pixels: the square shows the same gel at any resolution.
-    pub fn mm_per_pixel_of(&self, side: u32) -> f32 {
-        self.mm_per_pixel * self.picture_size as f32 / side as f32
+    /// Channels of the map that the RPN and the RoI head see: without the fusion that of conv4_x.
+    pub fn width(&self) -> usize {
+        if self.variant.msff { self.fused } else { self.channels[2] }
+    }
+
+    /// Side of the network's input for a square of the paper's gel, in pixels: a multiple of 32.
+    pub fn paper_size(&self) -> usize {
+        ((PAPER_MM * self.pixels_per_mm).round() as usize).max(1).next_multiple_of(32)
     }
 
     /// Anchors of one cell, `(x1, y1, x2, y2)` round the origin, in torchvision's order (ratios
@@ -161,6 +259,19 @@ impl ModelConfig {
     }
 }
 
+fn expect(fits: bool, name: &str, expected: String, got: &dyn Debug) -> Result<(), String> {
+    match fits {
+        true => Ok(()),
+        false => Err(format!("config: {name}: expected {expected}, got {got:?}")),
+    }
+}
+
+/// Whether `value` is in its range; NaN is in none.
+fn number(name: &str, value: f32, [least, most]: [f32; 2]) -> Result<(), String> {
+    let expected = format!("a number from {least} to {most}");
+    expect((least..=most).contains(&value), name, expected, &value)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -168,18 +279,9 @@ mod tests {
     #[test]
     fn anchors_follow_torchvision() {
         let config = ModelConfig {
-            format: 1,
-            input_size: 320,
-            mean: [0.5; 3],
-            std: [0.2; 3],
-            classes: vec!["A".into()],
             anchor_sizes: vec![32.0, 64.0],
             anchor_ratios: vec![0.5, 1.0],
-            mm_per_pixel: 0.04,
-            picture_size: 1000,
-            stride: 8,
-            reduction: 16,
-            variant: Variant { safe: true, msff: true, rw: true },
+            ..ModelConfig::large()
         };
         // torchvision 0.2x: AnchorGenerator(((32, 64),), ((0.5, 1.0),)).cell_anchors[0]
         let expected = [

@@ -9,16 +9,11 @@ use crate::ops::{Conv2d, GlobalAvgPool, ScaleWeights, UpsampleBilinear, Weighted
 use crate::shape::TensorSpec;
 use crate::tensor::Tensor;
 
-/// Channels of each scale after its convolution, and of the fused map.
-pub(super) const CHANNELS: usize = 256;
-/// Channels to which RW-Net reduces each scale.
-const REDUCED: usize = 64;
+/// The scales' dilations. The paper gives the two deeper scales a 5×5 field, read as a 3×3 kernel with
+/// dilation 2.
+const DILATIONS: [usize; 3] = [1, 2, 2];
 
-/// A scale's input channels and dilation. The paper gives the two deeper scales a 5×5 field, read
-/// as a 3×3 kernel with dilation 2.
-const SCALES: [(usize, usize); 3] = [(128, 1), (256, 2), (512, 2)];
-
-/// Appends the fusion of `features`; returns the fused map `[256, S/8, S/8]` and, with RW-Net, the
+/// Appends the fusion of `features`; returns the fused map `[F, H/8, W/8]` and, with RW-Net, the
 /// weights of the scales `[3]`.
 pub(super) fn fusion(
     graph: &mut Graph,
@@ -28,11 +23,12 @@ pub(super) fn fusion(
     graph.begin_stage("fusion");
     let size = graph.spec(features[0]).shape.0.clone();
     let mut maps = Vec::new();
-    for (i, (feature, (channels, dilation))) in features.into_iter().zip(SCALES).enumerate() {
+    let fused = weights.config().fused;
+    for (i, (feature, dilation)) in features.into_iter().zip(DILATIONS).enumerate() {
         let name = format!("fusion.branch{}", i + 1);
         let op = Conv2d { padding: dilation, dilation, relu: true, ..Conv2d::default() };
         let names = (format!("{name}.conv"), format!("{name}.bn"));
-        let shape = [CHANNELS, channels, 3, 3];
+        let shape = [fused, graph.spec(feature).shape.0[0], 3, 3];
         let x = conv_bn(graph, weights, (&names.0, &names.1), op, shape, &[feature])?;
         let x = cbam(graph, weights, &format!("{name}.cbam"), x)?;
         let up = UpsampleBilinear { out_height: size[1], out_width: size[2] };
@@ -60,29 +56,30 @@ pub(super) fn fusion(
 /// layer when loading, in f64. It then reads the three averages side by side.
 fn scale_weights(graph: &mut Graph, weights: &mut Weights, maps: &[TensorId]) -> Result<TensorId> {
     graph.begin_stage("reweight");
-    let weight = weights.take("reweight.fc1.weight", [REDUCED, 3 * REDUCED])?;
-    let bias = weights.take("reweight.fc1.bias", [REDUCED])?;
-    let fc2 = weights.take_biased("reweight.fc2", [3, REDUCED])?;
-    let mut sums = vec![0f64; REDUCED * 3 * CHANNELS];
+    let (reduced, channels) = (weights.config().reweight, weights.config().fused);
+    let weight = weights.take("reweight.fc1.weight", [reduced, 3 * reduced])?;
+    let bias = weights.take("reweight.fc1.bias", [reduced])?;
+    let fc2 = weights.take_biased("reweight.fc2", [3, reduced])?;
+    let mut sums = vec![0f64; reduced * 3 * channels];
     let mut bias: Vec<f64> = bias.data().iter().map(|b| f64::from(*b)).collect();
     for scale in 0..3 {
         let name = format!("reweight.reduce{}", scale + 1);
-        let reduce = weights.take(&format!("{name}.weight"), [REDUCED, CHANNELS, 1, 1])?;
-        let reduce_bias = weights.take(&format!("{name}.bias"), [REDUCED])?;
-        for hidden in 0..REDUCED {
-            let row = &weight.data()[hidden * 3 * REDUCED + scale * REDUCED..][..REDUCED];
-            let to = &mut sums[hidden * 3 * CHANNELS + scale * CHANNELS..][..CHANNELS];
+        let reduce = weights.take(&format!("{name}.weight"), [reduced, channels, 1, 1])?;
+        let reduce_bias = weights.take(&format!("{name}.bias"), [reduced])?;
+        for hidden in 0..reduced {
+            let row = &weight.data()[hidden * 3 * reduced + scale * reduced..][..reduced];
+            let to = &mut sums[hidden * 3 * channels + scale * channels..][..channels];
             for (k, w) in row.iter().enumerate() {
                 let w = f64::from(*w);
                 bias[hidden] += w * f64::from(reduce_bias.data()[k]);
-                for (sum, r) in to.iter_mut().zip(&reduce.data()[k * CHANNELS..]) {
+                for (sum, r) in to.iter_mut().zip(&reduce.data()[k * channels..]) {
                     *sum += w * f64::from(*r);
                 }
             }
         }
     }
-    let fc1_weight = Tensor::from_fn([REDUCED, 3 * CHANNELS], |i| sums[i] as f32);
-    let fc1_bias = Tensor::from_fn([REDUCED], |i| bias[i] as f32);
+    let fc1_weight = Tensor::from_fn([reduced, 3 * channels], |i| sums[i] as f32);
+    let fc1_bias = Tensor::from_fn([reduced], |i| bias[i] as f32);
     weights.check_finite("reweight.fc1.weight", &fc1_weight)?;
     weights.check_finite("reweight.fc1.bias", &fc1_bias)?;
     let pooled = graph.apply1("reweight.pool", GlobalAvgPool { maps: 3 }, maps)?;
@@ -96,26 +93,27 @@ fn scale_weights(graph: &mut Graph, weights: &mut Weights, maps: &[TensorId]) ->
     graph.apply1("reweight.weights", ScaleWeights, &inputs)
 }
 
-/// Without RW-Net: a 1×1 convolution of the concatenated scales to 256 channels, as the sum of one
+/// Without RW-Net: a 1×1 convolution of the concatenated scales to F channels, as the sum of one
 /// convolution a scale, so that nothing is copied together.
 fn reduce_concatenation(
     graph: &mut Graph,
     weights: &mut Weights,
     maps: &[TensorId],
 ) -> Result<TensorId> {
-    let total = weights.take_biased("fusion.reduce", [CHANNELS, 3 * CHANNELS, 1, 1])?;
+    let channels = weights.config().fused;
+    let total = weights.take_biased("fusion.reduce", [channels, 3 * channels, 1, 1])?;
     let mut sum = None;
     for (scale, map) in maps.iter().enumerate() {
-        let shape = [CHANNELS, CHANNELS, 1, 1];
+        let shape = [channels, channels, 1, 1];
         let weight = total.weight.packed(TensorSpec::f32(shape), move |total| {
             Tensor::from_fn(shape, |i| {
-                let (out, channel) = (i / CHANNELS, i % CHANNELS);
-                total.data()[(out * 3 + scale) * CHANNELS + channel]
+                let (out, from) = (i / channels, i % channels);
+                total.data()[(out * 3 + scale) * channels + from]
             })
         });
         let bias = match scale {
             0 => total.bias.clone(),
-            _ => Tensor::<f32>::zeros([CHANNELS]).into(),
+            _ => Tensor::<f32>::zeros([channels]).into(),
         };
         let op = Conv2d { residual: sum.is_some(), ..Conv2d::default() };
         let inputs: Vec<_> = [*map].into_iter().chain(sum).collect();

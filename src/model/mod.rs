@@ -9,6 +9,7 @@ mod roi_head;
 mod rpn;
 mod weights;
 
+pub(crate) use config::PAPER_MM;
 pub use config::{ModelConfig, Variant};
 pub use roi_head::Thresholds;
 pub use weights::{MAX_FILE, Weights};
@@ -29,9 +30,12 @@ pub struct Network {
     pub graph: Graph,
     /// The configuration that the weights carry.
     pub config: ModelConfig,
+    /// Height and width of the input in pixels.
+    pub size: [usize; 2],
     /// Input: packed RGBA pixels, u32 `[MAX_PIXELS]` or shorter.
     pub picture: TensorId,
-    /// Input: picture width and height, then x, y and side of the square crop, u32 `[5]`.
+    /// Input: where the picture's part lies and what it is resized to, u32 `[10]`, as
+    /// [`crate::cpu::Crop::to_tensor`] gives it.
     pub crop: TensorId,
     /// Output: boxes in pixels of the network's input, `[N, 4]`.
     pub boxes: TensorId,
@@ -41,6 +45,8 @@ pub struct Network {
     pub classes: TensorId,
     /// Output: how many of the N there are, `[1]`.
     pub count: TensorId,
+    /// Output: the pose of each, `[N, 5]` as [`crate::ops::DecodePose`] gives it, if the weights know it.
+    pub pose: Option<TensorId>,
     /// Output: how many proposals the RoI head saw, `[1]`.
     pub proposal_count: TensorId,
     /// Objectness logits of every anchor, `[A, H, W]`.
@@ -58,9 +64,8 @@ pub struct Network {
 impl std::fmt::Debug for Network {
     /// A line: what it takes and knows, and how much there is.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let ModelConfig { input_size, classes, .. } = &self.config;
-        let classes = classes.join(", ");
-        write!(f, "Network({input_size} × {input_size}, classes {classes}, {:?})", self.graph)
+        let (classes, [height, width]) = (self.config.classes.join(", "), self.size);
+        write!(f, "Network({width} × {height}, classes {classes}, {:?})", self.graph)
     }
 }
 
@@ -93,34 +98,41 @@ pub struct Witness {
 }
 
 impl Network {
-    /// Builds the network from `weights`.
+    /// Builds the network from `weights`, for inputs of `size`: height and width in pixels.
     ///
     /// # Errors
     /// [`Error::Weights`] for a configuration out of its ranges and for tensors that are missing,
-    /// misshapen or left over.
-    pub fn new(mut weights: Weights, thresholds: Thresholds) -> Result<Self> {
+    /// misshapen or left over; [`Error::Param`] for a size that is not [`ModelConfig::INPUT_SIZES`].
+    pub fn new(mut weights: Weights, size: [usize; 2], thresholds: Thresholds) -> Result<Self> {
         let config = weights.config().clone();
         // Untrained weights come with a configuration that nothing has looked at yet.
         config.check().map_err(|message| Error::Weights { file: "weights".into(), message })?;
+        for (name, side) in [("height", size[0]), ("width", size[1])] {
+            if !ModelConfig::is_input_size(side) {
+                return Err(Error::param("network", name, ModelConfig::INPUT_SIZES, side));
+            }
+        }
         let mut graph = Graph::default();
         let picture = graph.input("picture", TensorSpec::u32([MAX_PIXELS]), Extent::UpTo);
-        let crop = graph.input("crop", TensorSpec::u32([5]), Extent::Exact);
+        let crop = graph.input("crop", TensorSpec::u32([10]), Extent::Exact);
         graph.begin_stage("input");
-        let resize = CropResize { size: config.input_size, mean: config.mean, std: config.std };
+        let resize =
+            CropResize { width: size[1], height: size[0], mean: config.mean, std: config.std };
         let input = graph.apply1("input", resize, &[picture, crop])?;
         let features = backbone::backbone(&mut graph, &mut weights, input)?;
         let (fused, scales) = match features {
             Features::Scales(scales) => fusion::fusion(&mut graph, &mut weights, scales)?,
             Features::Conv4(map) => (map, None),
         };
-        let proposals = rpn::rpn(&mut graph, &mut weights, fused)?;
-        let head = roi_head::roi_head(&mut graph, &mut weights, fused, proposals, thresholds)?;
+        let proposals = rpn::rpn(&mut graph, &mut weights, size, fused)?;
+        let settings = (size, thresholds);
+        let head = roi_head::roi_head(&mut graph, &mut weights, settings, fused, proposals)?;
         weights.finish()?;
         // What each head gave: NaN stays NaN from where it arises to these, while comparisons behind
         // them would only drop it.
         graph.begin_stage("check");
         let maps = proposals.maps.into_iter().chain(scales).map(|tensor| (tensor, None));
-        let rows = head.rows.map(|tensor| (tensor, Some(proposals.count)));
+        let rows = head.rows.into_iter().map(|tensor| (tensor, Some(proposals.count)));
         let mut witnesses = Vec::new();
         for (tensor, count) in maps.chain(rows) {
             let name = format!("{}.not_finite", graph.name(tensor));
@@ -129,18 +141,21 @@ impl Network {
             witnesses.push(Witness { tensor, counts });
         }
         let outputs = [head.boxes, head.scores, head.classes, head.count, proposals.count];
-        for id in outputs.into_iter().chain(witnesses.iter().map(|w| w.counts)) {
+        let more = head.pose.into_iter().chain(witnesses.iter().map(|w| w.counts));
+        for id in outputs.into_iter().chain(more) {
             graph.mark_output(id);
         }
         Ok(Self {
             graph,
             config,
+            size,
             picture,
             crop,
             boxes: head.boxes,
             scores: head.scores,
             classes: head.classes,
             count: head.count,
+            pose: head.pose,
             proposal_count: proposals.count,
             objectness: proposals.maps[0],
             anchors: proposals.anchors,

@@ -3,17 +3,16 @@
 use crate::error::Result;
 use crate::graph::{Graph, TensorId};
 use crate::model::Choice;
-use crate::model::fusion::CHANNELS;
 use crate::model::rpn::Proposals;
 use crate::model::weights::Weights;
-use crate::ops::{DecodeDetections, GatherRows, Linear, Nms, RoiAlign, Softmax};
+use crate::ops::{DecodeDetections, DecodePose, GatherRows, Linear, Nms, RoiAlign, Softmax};
 
 /// Side of the pooled map.
 const POOLED: usize = 7;
 /// Sampling points a bin and side; with `aligned = true`, which differs from torchvision's default.
 const SAMPLING: usize = 2;
-/// Width of the two fully connected layers.
-const HIDDEN: usize = 512;
+/// Outputs of the layer for the pose.
+const POSE: usize = 6;
 /// Box coder weights of the second stage.
 const CODER: [f32; 4] = [10.0, 10.0, 5.0, 5.0];
 /// Smallest side of a detection in pixels of the network's input, as in torchvision.
@@ -33,7 +32,7 @@ pub struct Thresholds {
 }
 
 /// The detections' tensors, best first.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Head {
     /// `[N, 4]` in pixels of the network's input.
     pub boxes: TensorId,
@@ -43,8 +42,10 @@ pub(super) struct Head {
     pub classes: TensorId,
     /// `[1]`.
     pub count: TensorId,
-    /// Class probabilities and box deltas, a row a proposal.
-    pub rows: [TensorId; 2],
+    /// `[N, 5]`, if the weights know the pose.
+    pub pose: Option<TensorId>,
+    /// Class probabilities, box deltas and what is said of the pose, a row a proposal.
+    pub rows: Vec<TensorId>,
     /// How the detections were chosen.
     pub choice: Choice,
 }
@@ -53,9 +54,9 @@ pub(super) struct Head {
 pub(super) fn roi_head(
     graph: &mut Graph,
     weights: &mut Weights,
+    ([height, width], thresholds): ([usize; 2], Thresholds),
     fused: TensorId,
     proposals: Proposals,
-    thresholds: Thresholds,
 ) -> Result<Head> {
     graph.begin_stage("roi_head");
     let config = weights.config().clone();
@@ -68,24 +69,24 @@ pub(super) fn roi_head(
         count: true,
     };
     let pooled = graph.apply1("roi_head.pool", align, &[fused, proposals.boxes, count])?;
-    let fc6 = [HIDDEN, CHANNELS * POOLED * POOLED];
+    let hidden = config.head;
+    let fc6 = [hidden, config.width() * POOLED * POOLED];
     let x = linear(graph, weights, "roi_head.fc6", fc6, true, pooled, count)?;
-    let x = linear(graph, weights, "roi_head.fc7", [HIDDEN, HIDDEN], true, x, count)?;
-    let cls = [classes, HIDDEN];
+    let x = linear(graph, weights, "roi_head.fc7", [hidden, hidden], true, x, count)?;
+    let cls = [classes, hidden];
     let logits = linear(graph, weights, "roi_head.cls_score", cls, false, x, count)?;
-    let bbox = [4 * classes, HIDDEN];
+    let bbox = [4 * classes, hidden];
     let deltas = linear(graph, weights, "roi_head.bbox_pred", bbox, false, x, count)?;
-    let softmax = Softmax { count: true };
+    let pose = match config.pose {
+        true => Some(linear(graph, weights, "roi_head.pose", [POSE, hidden], false, x, count)?),
+        false => None,
+    };
+    let softmax = Softmax { temperature: config.temperature, count: true };
     let probabilities = graph.apply1("roi_head.probabilities", softmax, &[logits, count])?;
 
     graph.begin_stage("detections");
-    let size = config.input_size;
-    let decode = DecodeDetections {
-        width: size,
-        height: size,
-        weights: CODER,
-        class_mask: thresholds.class_mask,
-    };
+    let decode =
+        DecodeDetections { width, height, weights: CODER, class_mask: thresholds.class_mask };
     let inputs = [proposals.boxes, deltas, probabilities, count];
     let candidates = graph.apply("roi_head.decode", decode, &inputs)?;
     let [boxes, scores, labels, total] = [0, 1, 2, 3].map(|i| candidates[i]);
@@ -112,9 +113,17 @@ pub(super) fn roi_head(
     };
     let boxes = gather("detections.boxes", boxes)?;
     let scores = gather("detections.scores", scores)?;
-    let classes = gather("detections.labels", labels)?;
+    let labels = gather("detections.labels", labels)?;
     graph.rename(kept[1], "detections.count");
-    Ok(Head { boxes, scores, classes, count: kept[1], rows: [probabilities, deltas], choice })
+    let rows = [probabilities, deltas].into_iter().chain(pose).collect();
+    let pose = match pose {
+        None => None,
+        Some(pose) => {
+            let decode = DecodePose { classes: classes - 1 };
+            Some(graph.apply1("detections.pose", decode, &[pose, kept[0], kept[1]])?)
+        }
+    };
+    Ok(Head { boxes, scores, classes: labels, count: kept[1], pose, rows, choice })
 }
 
 fn linear(

@@ -6,7 +6,6 @@
 use crate::error::Result;
 use crate::graph::{Graph, TensorId};
 use crate::model::Choice;
-use crate::model::fusion::CHANNELS;
 use crate::model::layers::conv;
 use crate::model::weights::Weights;
 use crate::ops::{Conv2d, DecodeProposals, GatherRows, Nms, TopK};
@@ -34,19 +33,24 @@ pub(super) struct Proposals {
 }
 
 /// Appends the RPN on the fused map.
-pub(super) fn rpn(graph: &mut Graph, weights: &mut Weights, fused: TensorId) -> Result<Proposals> {
+pub(super) fn rpn(
+    graph: &mut Graph,
+    weights: &mut Weights,
+    [height, width]: [usize; 2],
+    fused: TensorId,
+) -> Result<Proposals> {
     graph.begin_stage("rpn");
     let config = weights.config().clone();
     let anchors = config.cell_anchors();
-    let (a, size) = (anchors.len(), config.input_size);
+    let (a, channels) = (anchors.len(), config.width());
     let head = Conv2d::default();
-    let scores = conv(graph, weights, "rpn.cls", head, [a, CHANNELS, 1, 1], fused)?;
-    let deltas = conv(graph, weights, "rpn.bbox", head, [4 * a, CHANNELS, 1, 1], fused)?;
+    let scores = conv(graph, weights, "rpn.cls", head, [a, channels, 1, 1], fused)?;
+    let deltas = conv(graph, weights, "rpn.bbox", head, [4 * a, channels, 1, 1], fused)?;
 
     graph.begin_stage("proposals");
     let best = graph.apply("rpn.top_k", TopK { k: BEFORE_NMS, count: false }, &[scores])?;
     let (logits, indices, count) = (best[0], best[1], best[2]);
-    let decode = DecodeProposals { anchors, stride: config.stride, width: size, height: size };
+    let decode = DecodeProposals { anchors, stride: config.stride, width, height };
     let decoded = graph.apply("rpn.decode", decode, &[deltas, logits, indices, count])?;
     let nms = Nms {
         iou_threshold: IOU,

@@ -253,22 +253,6 @@ impl Weights {
         Self { file: "random weights".into(), config, tensors: Source::Random(seed) }
     }
 
-    /// The same weights for another input size: the network is fully convolutional up to the RoI
-    /// head, which sees boxes.
-    ///
-    /// # Errors
-    /// [`Error::Param`] if `input_size` is not a multiple of 32 from 32 to 1440.
-    pub fn with_input_size(mut self, input_size: usize) -> Result<Self> {
-        self.config.input_size = input_size;
-        match ModelConfig::is_input_size(input_size) {
-            true => Ok(self),
-            false => {
-                let expected = ModelConfig::INPUT_SIZES;
-                Err(Error::param("weights", "input_size", expected, input_size))
-            }
-        }
-    }
-
     /// The network's configuration.
     pub fn config(&self) -> &ModelConfig {
         &self.config

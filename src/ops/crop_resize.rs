@@ -1,4 +1,4 @@
-//! A square crop of a picture, resized and normalised.
+//! A part of a picture, resized and normalised.
 
 use crate::cpu::{self, Crop};
 use crate::error::{Error, Result};
@@ -11,10 +11,12 @@ use crate::tensor::{Tensor, Value};
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "crop_resize",
-    takes: "picture u32 [N], RGBA8; crop u32 [5]: width, height, x, y, side",
-    gives: "output [3, size, size]",
+    takes: "picture u32 [N], RGBA8; crop u32 [10]: width, height, x, y, columns, rows, resized width \
+            and height, window x and y",
+    gives: "output [3, height, width]",
     params: &[
-        Param::required("size", "320", Range::Whole(1, MAX_SIZE)),
+        Param::required("width", "320", Range::Whole(1, MAX_SIZE)),
+        Param::required("height", "320", Range::Whole(1, MAX_SIZE)),
         Param::required("mean", "0.5,0.5,0.5", Range::Numbers(MEAN[0], MEAN[1])),
         Param::required("std", "0.2,0.2,0.2", Range::Numbers(STD[0], STD[1])),
     ],
@@ -22,7 +24,10 @@ pub static ENTRY: Entry = Entry {
     cases,
 };
 
-/// Largest output size and crop side: the shader's positions, products of the two, stay below 2³².
+/// Words of the crop.
+const WORDS: usize = 10;
+/// Largest output and resized side, and side of a crop: the shader's positions, products of the two,
+/// stay below 2³².
 const MAX_SIZE: u64 = 16_384;
 const MAX_SIDE: usize = 65_535;
 
@@ -31,16 +36,19 @@ pub(crate) const MEAN: [f32; 2] = [0.0, 1.0];
 /// Standard deviations: from below one level of 8 bits, 1/255, to far above the largest there is.
 pub(crate) const STD: [f32; 2] = [1e-3, 1e3];
 
-/// `(pixel / 255 − mean) / std` of a square crop, resized with antialiased bilinear weights.
+/// `(pixel / 255 − mean) / std` of a part of a picture, resized with antialiased bilinear weights, or
+/// of a window of it. Past the resized part's right and lower edge the output repeats them.
 ///
 /// Inputs: `picture u32[capacity]`, RGBA8 with red in the low byte, row-major, rows without
-/// padding, perhaps with unused words behind it; `crop u32[5]` from [`Crop::to_tensor`]. As the
+/// padding, perhaps with unused words behind it; `crop u32[10]` from [`Crop::to_tensor`]. As the
 /// geometry is data, one plan serves pictures of every size up to the capacity. Output:
-/// `output [3, size, size]`.
+/// `output [3, height, width]`.
 #[derive(Clone, Copy, Debug)]
 pub struct CropResize {
-    /// Length of the output's edges.
-    pub size: usize,
+    /// Columns of the output.
+    pub width: usize,
+    /// Rows of the output.
+    pub height: usize,
     /// Mean of each channel in [0, 1].
     pub mean: [f32; 3],
     /// Standard deviation of each channel, positive.
@@ -54,20 +62,32 @@ impl Crop {
     /// [`Error::Tensor`] if the crop is empty, larger than the shader can address, or not inside the
     /// picture; [`Error::Capacity`] if the picture is larger than the buffer.
     pub fn to_tensor(&self, capacity: usize) -> Result<Tensor<u32>> {
-        let Self { width, height, x, y, side } = *self;
-        let inside = |at: usize, length: usize| at <= length && side <= length - at;
-        if side == 0 || side > MAX_SIDE || !inside(x, width) || !inside(y, height) {
-            let expected = format!("a square of 1 to {MAX_SIDE} pixels inside {width}×{height}");
-            let got = format!("side {side} at ({x}, {y})");
+        let Self { width, height, x, y, columns, rows, resized, window } = *self;
+        let inside = |at: usize, length: usize, all: usize| {
+            (1..=MAX_SIDE).contains(&length) && at <= all && length <= all - at
+        };
+        if !inside(x, columns, width) || !inside(y, rows, height) {
+            let expected =
+                format!("a part of 1 to {MAX_SIDE} pixels a side inside {width}×{height}");
+            let got = format!("{columns}×{rows} at ({x}, {y})");
             return Err(Error::tensor(ENTRY.name, "crop", expected, got));
+        }
+        for axis in 0..2 {
+            let (size, from) = (resized[axis] as u64, window[axis] as u64);
+            if !(1..=MAX_SIZE).contains(&size) || from >= size {
+                let expected = format!("a window that begins in 1 to {MAX_SIZE} resized pixels");
+                let got = format!("at {window:?} of {resized:?}");
+                return Err(Error::tensor(ENTRY.name, "crop", expected, got));
+            }
         }
         let words = width as u64 * height as u64;
         if words > capacity as u64 {
             let what = format!("pixels for a {width}×{height} picture");
             return Err(Error::Capacity { what, needed: words, available: capacity as u64 });
         }
-        let numbers = [width, height, x, y, side].map(|n| n as u32);
-        Ok(Tensor::from_fn([5], |i| numbers[i]))
+        let [w, h] = resized;
+        let numbers = [width, height, x, y, columns, rows, w, h, window[0], window[1]];
+        Ok(Tensor::from_fn([WORDS], |i| numbers[i] as u32))
     }
 
     /// Reads [`Crop::to_tensor`]'s words back and checks them again.
@@ -75,8 +95,10 @@ impl Crop {
     /// # Errors
     /// As [`Crop::to_tensor`].
     pub(crate) fn from_tensor(words: &Tensor<u32>, capacity: usize) -> Result<Self> {
-        let [width, height, x, y, side] = [0, 1, 2, 3, 4].map(|i| words.data()[i] as usize);
-        let crop = Self { width, height, x, y, side };
+        let [width, height, x, y, columns, rows, w, h, left, top] =
+            std::array::from_fn(|i| words.data()[i] as usize);
+        let (resized, window) = ([w, h], [left, top]);
+        let crop = Self { width, height, x, y, columns, rows, resized, window };
         crop.to_tensor(capacity).map(|_| crop)
     }
 }
@@ -103,7 +125,8 @@ impl Op for CropResize {
 
     fn settings(&self) -> Settings {
         vec![
-            ("size", self.size.into()),
+            ("width", self.width.into()),
+            ("height", self.height.into()),
             ("mean", self.mean[..].into()),
             ("std", self.std[..].into()),
         ]
@@ -123,13 +146,15 @@ impl Op for CropResize {
         if capacity == 0 {
             return Err(Error::tensor(name, "picture", "at least one pixel", &inputs[0]));
         }
-        expect(name, "crop", &TensorSpec::u32([5]), &inputs[1])?;
-        Ok(vec![TensorSpec::f32([3, self.size, self.size])])
+        expect(name, "crop", &TensorSpec::u32([WORDS]), &inputs[1])?;
+        Ok(vec![TensorSpec::f32([3, self.height, self.width])])
     }
 
     fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let (picture, crop) = self.parts(inputs)?;
-        Ok(vec![cpu::crop_resize(picture, crop, self.size, self.mean, self.std).into()])
+        Ok(vec![
+            cpu::crop_resize(picture, crop, [self.height, self.width], self.mean, self.std).into(),
+        ])
     }
 
     fn check_values(&self, inputs: &[&Value]) -> Result<()> {
@@ -148,9 +173,12 @@ impl Op for CropResize {
             let [r, g, b] = [0, 1, 2].map(|c| [r, g, b][c].abs_diff(shift[c].0));
             u32::from_le_bytes([r, g, b, 0])
         });
-        let resized = cpu::crop_resize(&distance, crop, self.size, [0.0; 3], [1.0; 3]);
-        let taps = 2 * (2 * crop.side.div_ceil(self.size) + 1).min(crop.side);
-        let area = self.size * self.size;
+        let size = [self.height, self.width];
+        let resized = cpu::crop_resize(&distance, crop, size, [0.0; 3], [1.0; 3]);
+        let taps = |side: usize, size: usize| (2 * side.div_ceil(size) + 1).min(side);
+        let [w, h] = crop.resized;
+        let taps = taps(crop.columns, w) + taps(crop.rows, h);
+        let area = self.height * self.width;
         let bound = |(i, size): (usize, &f32)| {
             let (rest, std) = (shift[i / area].1, self.std[i / area]);
             let size = f64::from(*size);
@@ -162,16 +190,22 @@ impl Op for CropResize {
 }
 
 fn build(params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
+    let (width, height) = (params.require("width")?, params.require("height")?);
     let (mean, std) = (params.require_array("mean")?, params.require_array("std")?);
-    Ok(Box::new(CropResize { size: params.require("size")?, mean, std }))
+    Ok(Box::new(CropResize { width, height, mean, std }))
 }
 
 fn cases() -> Vec<Case> {
-    const RAW: CropResize = CropResize { size: 1, mean: [0.0; 3], std: [1.0; 3] };
+    const RAW: CropResize = CropResize { width: 1, height: 1, mean: [0.0; 3], std: [1.0; 3] };
+    let sized = |size: usize| CropResize { width: size, height: size, ..RAW };
     let grey = |shades: &[u32]| -> Value {
         Tensor::from_fn([shades.len()], |i| 0xff00_0000 | (shades[i] * 0x01_0101)).into()
     };
-    let crop = |numbers: [u32; 5]| -> Value { Tensor::from_fn([5], |i| numbers[i]).into() };
+    let crop = |numbers: [u32; WORDS]| -> Value { Tensor::from_fn([WORDS], |i| numbers[i]).into() };
+    // A square: width, height, x, y, side.
+    let square = |size: usize, [w, h, x, y, side]: [u32; 5]| {
+        crop([w, h, x, y, side, side, size as u32, size as u32, 0, 0])
+    };
     // A pattern that differs between channels, without a random generator.
     let pattern = |count: usize| -> Value {
         Tensor::from_fn([count], |i| {
@@ -183,17 +217,21 @@ fn cases() -> Vec<Case> {
     let mut cases = vec![
         // 2x2 to one: each pixel is half a pixel from the middle and weighs the same.
         // (0 + 51 + 102 + 255) / 4 / 255 = 0.4.
-        Case::new("2x2 to 1 by hand", RAW, vec![grey(&[0, 51, 102, 255]), crop([2, 2, 0, 0, 2])])
-            .by_hand(vec![values([3, 1, 1], &[0.4, 0.4, 0.4])]),
+        Case::new(
+            "2x2 to 1 by hand",
+            RAW,
+            vec![grey(&[0, 51, 102, 255]), square(1, [2, 2, 0, 0, 2])],
+        )
+        .by_hand(vec![values([3, 1, 1], &[0.4, 0.4, 0.4])]),
         // Rows of 4 to 2: the triangle reaches 2 pixels, centres at 1 and 3; the weights are 3/4,
         // 3/4, 1/4 over 7/4. (3·0 + 3·35 + 70) / 7 = 25, (35 + 3·70 + 3·245) / 7 = 140. All four
         // rows are equal. Then (25/255 − 5/51) / 0.1 = 0 and (140/255 − 5/51) / 0.1 = 230/51.
         Case::new(
             "4x4 to 2, normalised, by hand",
-            CropResize { size: 2, mean: [5.0 / 51.0; 3], std: [0.1; 3] },
+            CropResize { mean: [5.0 / 51.0; 3], std: [0.1; 3], ..sized(2) },
             vec![
                 grey(&std::array::from_fn::<u32, 16, _>(|i| [0, 35, 70, 245][i % 4])),
-                crop([4, 4, 0, 0, 4]),
+                square(2, [4, 4, 0, 0, 4]),
             ],
         )
         .by_hand(vec![values([3, 2, 2], &[0.0, 230.0 / 51.0].repeat(6))]),
@@ -201,21 +239,21 @@ fn cases() -> Vec<Case> {
         Case::new(
             "channel order by hand",
             RAW,
-            vec![Tensor::from_fn([1], |_| 0x0066_3300).into(), crop([1, 1, 0, 0, 1])],
+            vec![Tensor::from_fn([1], |_| 0x0066_3300).into(), square(1, [1, 1, 0, 0, 1])],
         )
         .by_hand(vec![values([3, 1, 1], &[0.0, 0.2, 0.4])]),
         // Levels 51, 102, 204 are 0.2, 0.4, 0.8: (0.2 − 1/8) · 2, (0.4 − 1/4) · 4, (0.8 − 1/2) · 8.
         Case::new(
             "each channel its mean and deviation, by hand",
-            CropResize { size: 1, mean: [0.125, 0.25, 0.5], std: [0.5, 0.25, 0.125] },
-            vec![Tensor::from_fn([1], |_| 0x00cc_6633).into(), crop([1, 1, 0, 0, 1])],
+            CropResize { mean: [0.125, 0.25, 0.5], std: [0.5, 0.25, 0.125], ..RAW },
+            vec![Tensor::from_fn([1], |_| 0x00cc_6633).into(), square(1, [1, 1, 0, 0, 1])],
         )
         .by_hand(vec![values([3, 1, 1], &[0.15, 0.6, 2.4])]),
         // The numbers are PyTorch's, from `interpolate(…, antialias=True)` in f64.
         Case::new(
             "5x5 inside 7x6 to 3, PyTorch's numbers",
-            CropResize { size: 3, ..RAW },
-            vec![pattern(42), crop([7, 6, 1, 1, 5])],
+            sized(3),
+            vec![pattern(42), square(3, [7, 6, 1, 1, 5])],
         )
         .by_hand(vec![values(
             [3, 3, 3],
@@ -228,8 +266,8 @@ fn cases() -> Vec<Case> {
         )]),
         Case::new(
             "2x2 inside 7x6 enlarged to 3, PyTorch's numbers",
-            CropResize { size: 3, ..RAW },
-            vec![pattern(42), crop([7, 6, 2, 0, 2])],
+            sized(3),
+            vec![pattern(42), square(3, [7, 6, 2, 0, 2])],
         )
         .by_hand(vec![values(
             [3, 3, 3],
@@ -241,14 +279,22 @@ fn cases() -> Vec<Case> {
             ],
         )]),
     ];
+    // Three columns to three of their own width: 51, 102, 204 are 0.2, 0.4, 0.8. The window begins at
+    // the second, and what is past the third repeats it.
+    let line = vec![grey(&[51, 102, 204]), crop([3, 1, 0, 0, 3, 1, 3, 1, 1, 0])];
+    cases.push(
+        Case::new("a window and its edge by hand", CropResize { width: 4, height: 2, ..RAW }, line)
+            .by_hand(vec![values([3, 2, 4], &[0.4, 0.8, 0.8, 0.8].repeat(6))]),
+    );
     // Near the mean, where a subtraction at the end would lose what is there:
     // (135/255 − 17/32) · 128 = −4/17.
-    let near = CropResize { size: 2, mean: [0.531_25; 3], std: [1.0 / 128.0; 3] };
-    let inputs = vec![grey(&[135; 9]), crop([3, 3, 0, 0, 3])];
+    let near = CropResize { mean: [0.531_25; 3], std: [1.0 / 128.0; 3], ..sized(2) };
+    let inputs = vec![grey(&[135; 9]), square(2, [3, 3, 0, 0, 3])];
     cases.push(
         Case::new("one level off the mean, by hand", near, inputs)
             .by_hand(vec![values([3, 2, 2], &[-4.0 / 17.0; 12])]),
     );
+    let (mean, std) = ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]);
     // (name, size, capacity, [width, height, x, y, side])
     let shapes = [
         ("one pixel enlarged to 17", 17, 1, [1, 1, 0, 0, 1]),
@@ -260,11 +306,23 @@ fn cases() -> Vec<Case> {
         ("four megapixels to 31", 31, 2048 * 2048, [2048, 2048, 1, 1, 2047]),
     ];
     for (name, size, capacity, numbers) in shapes {
-        let op = CropResize { size, mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225] };
+        let op = CropResize { mean, std, ..sized(size) };
+        cases.push(Case::new(name, op, vec![pattern(capacity), square(size, numbers)]));
+    }
+    // (name, width, height, capacity, crop)
+    let shapes = [
+        ("each axis its scale", 13, 5, 61 * 47, [61, 47, 3, 5, 53, 41, 13, 5, 0, 0]),
+        ("enlarged one way, shrunk the other", 34, 7, 17 * 67, [17, 67, 0, 0, 17, 67, 34, 7, 0, 0]),
+        ("with repeated edges", 64, 32, 101 * 31, [101, 31, 1, 2, 99, 29, 50, 17, 0, 0]),
+        ("a window in the middle", 9, 33, 97 * 103, [97, 103, 0, 0, 97, 103, 60, 64, 21, 8]),
+        ("a window past the corner", 31, 17, 97 * 103, [97, 103, 2, 3, 90, 99, 45, 33, 40, 32]),
+    ];
+    for (name, width, height, capacity, numbers) in shapes {
+        let op = CropResize { width, height, mean, std };
         cases.push(Case::new(name, op, vec![pattern(capacity), crop(numbers)]));
     }
-    let op = CropResize { size: 320, mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225] };
-    let inputs = vec![pattern(1_000_000), crop([1000, 1000, 0, 0, 1000])];
+    let op = CropResize { mean, std, ..sized(320) };
+    let inputs = vec![pattern(1_000_000), square(320, [1000, 1000, 0, 0, 1000])];
     cases.push(Case::new("the sensor's picture", op, inputs).in_network());
     cases
 }

@@ -16,6 +16,7 @@ pub(crate) mod conv2d;
 pub(crate) mod count;
 mod crop_resize;
 mod decode_detections;
+mod decode_pose;
 mod decode_proposals;
 pub(crate) mod gather_rows;
 mod global_avg_pool;
@@ -43,6 +44,7 @@ pub use conv2d::Conv2d;
 pub use crop_resize::CropResize;
 pub(crate) use crop_resize::{MEAN, STD};
 pub use decode_detections::DecodeDetections;
+pub use decode_pose::DecodePose;
 pub use decode_proposals::DecodeProposals;
 pub use gather_rows::GatherRows;
 pub use global_avg_pool::GlobalAvgPool;
@@ -70,6 +72,7 @@ pub static OPS: &[&Entry] = &[
     &conv2d::ENTRY,
     &crop_resize::ENTRY,
     &decode_detections::ENTRY,
+    &decode_pose::ENTRY,
     &decode_proposals::ENTRY,
     &gather_rows::ENTRY,
     &global_avg_pool::ENTRY,

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::ops::case::{Case, integers, one_way, random, values};
 use crate::ops::count::{expect_count, live};
 use crate::ops::op::{EPS, Entry, Op, Tolerance, dims};
-use crate::ops::params::{Params as Named, Settings};
+use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -14,19 +14,28 @@ pub static ENTRY: Entry = Entry {
     name: "softmax",
     takes: "input [N, C]; optional: count u32 [1]",
     gives: "output [N, C]",
-    params: &[],
+    params: &[Param::optional("temperature", "1", Range::Numbers(1e-3, 1e3))],
     build,
     cases,
 };
 
-/// Softmax over the last dimension, with the row's maximum subtracted first.
+/// Softmax of input / temperature over the last dimension, with the row's maximum subtracted first.
 ///
 /// Inputs: `input` f32 `[R, N]`; `count` u32 `[1]` if `count`. Output: `output` f32 `[R, N]`; rows
 /// behind the count are not written.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct Softmax {
+    /// What the input is divided by; 1 by default. A higher one makes the shares more even (Guo et al.,
+    /// On Calibration of Modern Neural Networks, 2017).
+    pub temperature: f32,
     /// Whether a count limits the rows.
     pub count: bool,
+}
+
+impl Default for Softmax {
+    fn default() -> Self {
+        Self { temperature: 1.0, count: false }
+    }
 }
 
 impl Op for Softmax {
@@ -35,7 +44,7 @@ impl Op for Softmax {
     }
 
     fn settings(&self) -> Settings {
-        Settings::new()
+        vec![("temperature", self.temperature.into())]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
@@ -65,13 +74,14 @@ impl Op for Softmax {
         let mut output = Tensor::zeros(input.shape().clone());
         let each = output.data_mut().chunks_exact_mut(columns).zip(input.data().chunks(columns));
         for (out, row) in each.take(rows) {
-            out.copy_from_slice(&cpu::softmax(row));
+            out.copy_from_slice(&cpu::softmax(row, self.temperature));
         }
         Ok(vec![output.into()])
     }
 
-    /// With d = max − xᵢ: the difference rounds to εd, which moves e^−d by that share; exp itself is
-    /// off by (3 + 2d) ULP (WGSL), each at most 2ε; so e^−d is off by (6 + 5d)ε. The sum is off by
+    /// With d = (max − xᵢ) / T: the difference, 1 / T and their product round to 3εd, which moves e^−d
+    /// by that share; exp itself is off by (3 + 2d) ULP (WGSL), each at most 2ε; so e^−d is off by
+    /// (6 + 7d)ε. The sum is off by
     /// n·ε and by its terms' errors, weighted with the terms; the quotient by 2.5 ULP, and the
     /// reference rounds once.
     fn tolerance(&self, inputs: &[&Value], reference: &[Value]) -> Result<Vec<Tolerance>> {
@@ -80,7 +90,8 @@ impl Op for Softmax {
         let rows = input.data().chunks(columns).zip(output.data().chunks(columns));
         let each = rows.flat_map(|(row, shares)| {
             let highest = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-            let power = |x: f32| 6.0 + 5.0 * (f64::from(highest) - f64::from(x));
+            let distance = |x: f32| f64::from(highest) - f64::from(x);
+            let power = |x: f32| 6.0 + 7.0 * distance(x) / f64::from(self.temperature);
             let sum: f64 = row.iter().zip(shares).map(|(x, s)| f64::from(*s) * power(*x)).sum();
             let fixed = sum + columns as f64 + 6.0;
             row.iter()
@@ -99,12 +110,13 @@ impl Op for Softmax {
     }
 }
 
-fn build(_params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {
-    Ok(Box::new(Softmax { count: present.contains(&"count") }))
+fn build(params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {
+    let temperature = params.take("temperature", Softmax::default().temperature)?;
+    Ok(Box::new(Softmax { temperature, count: present.contains(&"count") }))
 }
 
 fn cases() -> Vec<Case> {
-    let (all, counted) = (Softmax { count: false }, Softmax { count: true });
+    let (all, counted) = (Softmax::default(), Softmax { count: true, ..Softmax::default() });
     // ln 1, ln 2, ln 5: shares 1/8, 2/8, 5/8; and the same far from zero.
     let logs = [0.0, std::f32::consts::LN_2, 1.609_438];
     let mut cases = vec![
@@ -129,6 +141,19 @@ fn cases() -> Vec<Case> {
             vec![Tensor::from_fn([1, 70], |i| if i == 69 { 1000.0 } else { 0.0 }).into()],
         )
         .by_hand(vec![Tensor::from_fn([1, 70], |i| if i == 69 { 1.0 } else { 0.0 }).into()]),
+        // Logarithms twice as large at temperature 2, and half as large at 1/2.
+        Case::new(
+            "a temperature by hand",
+            Softmax { temperature: 2.0, ..all },
+            vec![values([1, 3], &logs.map(|x| 2.0 * x))],
+        )
+        .by_hand(vec![values([1, 3], &[0.125, 0.25, 0.625])]),
+        Case::new(
+            "a low temperature by hand",
+            Softmax { temperature: 0.5, ..all },
+            vec![values([1, 3], &logs.map(|x| 0.5 * x))],
+        )
+        .by_hand(vec![values([1, 3], &[0.125, 0.25, 0.625])]),
         Case::new("nothing counted", counted, vec![random(1, [3, 5]).into(), integers([1], &[0])]),
         Case::new("past 65 535 rows", all, vec![random(2, [65_537, 2]).into()]),
     ];
@@ -139,6 +164,10 @@ fn cases() -> Vec<Case> {
         let inputs = vec![input.into(), integers([1], &[rows as u32])];
         cases.push(Case::new(format!("{rows} × {columns}"), counted, inputs));
     }
+    let mut input = random(99, [31, 7]);
+    input.data_mut().iter_mut().for_each(|x| *x *= 20.0);
+    let warm = Softmax { temperature: 1.37, ..all };
+    cases.push(Case::new("a temperature that rounds", warm, vec![input.into()]));
     let inputs = vec![one_way(1000, [100, 3]).into(), integers([1], &[100])];
     cases.push(Case::new("the regions' classes", counted, inputs).in_network());
     cases

@@ -9,7 +9,7 @@ fn shader_matches_reference_and_hand() {
 
 #[test]
 fn refuses_what_does_not_fit() {
-    let op = Softmax { count: true };
+    let op = Softmax { count: true, ..Softmax::default() };
     let text = |specs: &[TensorSpec]| op.infer(specs).expect_err("an error").to_string();
     let message = text(&[TensorSpec::f32([3]), TensorSpec::u32([1])]);
     assert!(message.contains("`input`") && message.contains("rank 2"), "{message}");

@@ -5,7 +5,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 import boxes as bx
-from model import Config, Heads, SmrNet
+from model import Config, Heads, SmrNet, autocast
 
 
 class Distiller(nn.Module):
@@ -22,7 +22,7 @@ class Distiller(nn.Module):
     def losses(self, images: Tensor, fused: Tensor, rois: list[Tensor], heads: Heads, wanted: Tensor | None) -> dict[str, Tensor]:
         """`wanted` is the teacher's fused map; without it the teacher runs."""
         (teacher,) = self.teachers
-        with torch.autocast(images.device.type, dtype=torch.bfloat16):
+        with autocast(images.device.type):
             with torch.no_grad():
                 if wanted is None:
                     wanted = teacher.features(images, {})

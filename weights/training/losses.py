@@ -13,7 +13,7 @@ from torchvision import ops
 
 import boxes as bx
 import pose
-from model import Heads, SmrNet, propose
+from model import Heads, SmrNet, autocast, propose
 
 ROIS = 64  # a picture, a quarter of them positive
 ANCHORS = 256  # a picture, half of them positive
@@ -138,7 +138,7 @@ def detection_losses(model: SmrNet, images: Tensor, targets: list[dict], distill
 
     The network in bfloat16 where the device gains by it, the losses in float32."""
     stages: dict = {}
-    with torch.autocast(images.device.type, dtype=torch.bfloat16):
+    with autocast(images.device.type):
         fused = model.features(images, stages)
         logits, deltas, anchors = model.rpn_heads(fused, stages)
     logits, deltas, anchors = logits.float(), deltas.float(), anchors.float()
@@ -150,7 +150,7 @@ def detection_losses(model: SmrNet, images: Tensor, targets: list[dict], distill
     ]
     boxes = [r.boxes for r in sampled]
     rois = Rois(*(torch.cat([getattr(r, name) for r in sampled]) for name in Rois.__dataclass_fields__))
-    with torch.autocast(images.device.type, dtype=torch.bfloat16):
+    with autocast(images.device.type):
         heads = model.roi_head(bx.roi_align_dense(fused, boxes, 1 / model.config.stride), stages)
     heads = Heads(heads.scores.float(), heads.regression.float(), None if heads.pose is None else heads.pose.float())
     classification, roi_box = roi_loss(heads, rois)

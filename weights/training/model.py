@@ -87,6 +87,12 @@ NETWORKS = {
 }
 
 
+def autocast(device: str) -> torch.autocast:
+    """bfloat16 where the device computes in it: emulated, it takes several times as long as float32."""
+    native = device != "cpu" or torch.ops.mkldnn._is_mkldnn_bf16_supported()
+    return torch.autocast(device, dtype=torch.bfloat16, enabled=native)
+
+
 class ChannelGate(nn.Module):
     def __init__(self, channels: int, reduction: int):
         super().__init__()

@@ -1,17 +1,19 @@
-// A square crop of a packed RGBA8 picture, resized to size x size and normalised, as [3, size, size].
+// A part of a packed RGBA8 picture, resized and normalised, or a window of it, as
+// [3, height, width]. Past the resized part's edge the output repeats it.
 //
 // The mean is subtracted in two parts: a whole number of levels from each pixel, which is exact, and
 // the rest at the end. So a picture near its mean loses no digits to the subtraction.
 //
-// The filter is a triangle, widened where the picture shrinks. Distances are counted in
-// 1 / (2 size) of a picture's pixel: pixel j has its centre at (2j + 1) size, output i at
-// (2i + 1) side, and the triangle reaches 2 max(side, size). All are integers, so that each weight
-// is exact.
+// The filter is a triangle, widened where the picture shrinks. Along an axis, a part of `side` pixels
+// becomes `size`; distances are counted in 1 / (2 size) of a picture's pixel: pixel j has its centre
+// at (2j + 1) size, output i at (2i + 1) side, and the triangle reaches 2 max(side, size). All are
+// integers, so that each weight is exact.
 
 // include: index
 
 struct Params {
-    size: u32,
+    width: u32,
+    height: u32,
     capacity: u32,
     shift_r: f32,
     shift_g: f32,
@@ -27,32 +29,48 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 // Red in the low byte, row-major.
 @group(0) @binding(1) var<storage, read> picture: array<u32>;
-// Picture width, picture height, crop x, crop y, crop side.
+// Picture width and height; the part's x, y, columns and rows; the resized width and height; x and y
+// of the window.
 @group(0) @binding(2) var<storage, read> crop: array<u32>;
 @group(0) @binding(3) var<storage, read_write> output: array<f32>;
 
-// The pixels first..end of the crop, along one axis, that one output sees.
+// An axis of the part: its pixels, the pixels it is resized to, and where the window begins.
+struct Axis {
+    side: u32,
+    size: u32,
+    window: u32,
+}
+
+// The crop is data: no side is longer than the picture's, nor than the buffer, and none is nothing.
+fn axis(which: u32) -> Axis {
+    let side = min(crop[4u + which], min(crop[which], params.capacity));
+    return Axis(side, max(crop[6u + which], 1u), crop[8u + which]);
+}
+
+// The pixels first..end of the part, along one axis, that one output sees.
 struct Taps {
+    size: u32,
     centre: u32,
     reach: u32,
     first: u32,
     end: u32,
 }
 
-fn taps(i: u32, side: u32) -> Taps {
-    let size = params.size;
-    let centre = (2u * i + 1u) * side;
-    let reach = 2u * max(side, size);
+fn taps(along: Axis, output_at: u32) -> Taps {
+    let size = along.size;
+    let i = min(output_at + along.window, size - 1u);
+    let centre = (2u * i + 1u) * along.side;
+    let reach = 2u * max(along.side, size);
     var first = 0u;
     if centre >= reach + size {
         first = (centre - reach - size) / (2u * size) + 1u;
     }
-    let end = min((centre + reach + size - 1u) / (2u * size), side);
-    return Taps(centre, reach, first, end);
+    let end = min((centre + reach + size - 1u) / (2u * size), along.side);
+    return Taps(size, centre, reach, first, end);
 }
 
 fn weight(t: Taps, j: u32) -> f32 {
-    let at = (2u * j + 1u) * params.size;
+    let at = (2u * j + 1u) * t.size;
     return f32(t.reach - (max(at, t.centre) - min(at, t.centre)));
 }
 
@@ -70,17 +88,15 @@ fn main(
     @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let area = params.size * params.size;
+    let area = params.width * params.height;
     let pixel = linear_index(workgroup, workgroups, local, 64u);
     if pixel >= area {
         return;
     }
     let width = crop[0];
-    // The crop is data: no side is longer than the picture's, nor than the buffer.
-    let side = min(crop[4], min(min(crop[0], crop[1]), params.capacity));
-    let y = pixel / params.size;
-    let rows = taps(y, side);
-    let columns = taps(pixel - y * params.size, side);
+    let y = pixel / params.width;
+    let rows = taps(axis(1u), y);
+    let columns = taps(axis(0u), pixel - y * params.width);
     let shift = vec3<f32>(params.shift_r, params.shift_g, params.shift_b);
     var total = vec3<f32>(0.0);
     for (var j = rows.first; j < rows.end; j++) {

@@ -1,13 +1,13 @@
-// A square crop of a packed RGBA8 picture, resized to size x size and normalised, as a map
-// of three channels, four a texel.
+// A part of a packed RGBA8 picture, resized and normalised, or a window of it, as a map of three
+// channels, four a texel. Past the resized part's edge the output repeats it.
 //
 // The mean is subtracted in two parts: a whole number of levels from each pixel, which is exact, and
 // the rest at the end. So a picture near its mean loses no digits to the subtraction.
 //
-// The filter is a triangle, widened where the picture shrinks. Distances are counted in
-// 1 / (2 size) of a picture's pixel: pixel j has its centre at (2j + 1) size, output i at
-// (2i + 1) side, and the triangle reaches 2 max(side, size). All are integers, so that each weight
-// is exact.
+// The filter is a triangle, widened where the picture shrinks. Along an axis, a part of `side` pixels
+// becomes `size`; distances are counted in 1 / (2 size) of a picture's pixel: pixel j has its centre
+// at (2j + 1) size, output i at (2i + 1) side, and the triangle reaches 2 max(side, size). All are
+// integers, so that each weight is exact.
 //
 // An invocation computes four pixels of a column, which share the sums of the picture's rows; a
 // workgroup is 8 x 8 such columns.
@@ -16,7 +16,6 @@
 
 struct Params {
     map: Quads,
-    size: u32,
     capacity: u32,
     shift_r: f32,
     shift_g: f32,
@@ -28,38 +27,55 @@ struct Params {
     std_g: f32,
     std_b: f32,
     pad0: u32,
+    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
 // Red in the low byte, row-major.
 @group(0) @binding(1) var<storage, read> picture: array<u32>;
-// Picture width, picture height, crop x, crop y, crop side.
+// Picture width and height; the part's x, y, columns and rows; the resized width and height; x and y
+// of the window.
 @group(0) @binding(2) var<storage, read> crop: array<u32>;
 @group(0) @binding(3) var<storage, read_write> output: array<vec4<f32>>;
 
-// The pixels first..end of the crop, along one axis, that one output sees.
+// An axis of the part: its pixels, the pixels it is resized to, and where the window begins.
+struct Axis {
+    side: u32,
+    size: u32,
+    window: u32,
+}
+
+// The crop is data: no side is longer than the picture's, nor than the buffer, and none is nothing.
+fn axis(which: u32) -> Axis {
+    let side = min(crop[4u + which], min(crop[which], params.capacity));
+    return Axis(side, max(crop[6u + which], 1u), crop[8u + which]);
+}
+
+// The pixels first..end of the part, along one axis, that one output sees.
 struct Taps {
+    size: u32,
     centre: u32,
     reach: u32,
     first: u32,
     end: u32,
 }
 
-fn taps(i: u32, side: u32) -> Taps {
-    let size = params.size;
-    let centre = (2u * i + 1u) * side;
-    let reach = 2u * max(side, size);
+fn taps(along: Axis, output_at: u32) -> Taps {
+    let size = along.size;
+    let i = min(output_at + along.window, size - 1u);
+    let centre = (2u * i + 1u) * along.side;
+    let reach = 2u * max(along.side, size);
     var first = 0u;
     if centre >= reach + size {
         first = (centre - reach - size) / (2u * size) + 1u;
     }
-    let end = min((centre + reach + size - 1u) / (2u * size), side);
-    return Taps(centre, reach, first, end);
+    let end = min((centre + reach + size - 1u) / (2u * size), along.side);
+    return Taps(size, centre, reach, first, end);
 }
 
 // The weight of pixel `j`, zero past the triangle's reach.
 fn weight(t: Taps, j: u32) -> f32 {
-    let at = (2u * j + 1u) * params.size;
+    let at = (2u * j + 1u) * t.size;
     let distance = max(at, t.centre) - min(at, t.centre);
     return f32(t.reach - min(distance, t.reach));
 }
@@ -93,20 +109,19 @@ fn main(
         return;
     }
     let width = crop[0];
-    // The crop is data: no side is longer than the picture's, nor than the buffer.
-    let side = min(crop[4u], min(min(width, crop[1u]), params.capacity));
     // Rows past the last repeat it; nobody stores them.
     let last = map.height - 1u;
-    let rows0 = taps(y, side);
-    let rows1 = taps(min(y + 1u, last), side);
-    let rows2 = taps(min(y + 2u, last), side);
-    let rows3 = taps(min(y + 3u, last), side);
-    let columns = taps(x, side);
+    let down = axis(1u);
+    let rows0 = taps(down, y);
+    let rows1 = taps(down, min(y + 1u, last));
+    let rows2 = taps(down, min(y + 2u, last));
+    let rows3 = taps(down, min(y + 3u, last));
+    let columns = taps(axis(0u), x);
     let shift = vec3(params.shift_r, params.shift_g, params.shift_b);
     let corner = crop[3u] * width + crop[2u];
     // How far the first column is from the centre, and from one to the next: integers in f32.
-    let start_distance = f32(i32(columns.centre - (2u * columns.first + 1u) * params.size));
-    let step = f32(2u * params.size);
+    let start_distance = f32(i32(columns.centre - (2u * columns.first + 1u) * columns.size));
+    let step = f32(2u * columns.size);
     let reach = f32(columns.reach);
     var total0 = vec3(0.0);
     var total1 = vec3(0.0);

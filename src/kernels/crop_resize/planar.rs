@@ -8,7 +8,8 @@ use crate::shader::{Shader, Variant, shader_params};
 
 shader_params! {
     struct Params {
-        size: u32,
+        width: u32,
+        height: u32,
         capacity: u32,
         shift_r: f32,
         shift_g: f32,
@@ -53,7 +54,8 @@ impl Kernel for Planar {
         let [rest_r, rest_g, rest_b] = op.shift().map(|(_, rest)| rest as f32);
         let [std_r, std_g, std_b] = op.std;
         let params = Params {
-            size: op.size as u32,
+            width: op.width as u32,
+            height: op.height as u32,
             capacity: recording.dims(inputs[0])[0] as u32,
             shift_r,
             shift_g,
@@ -66,7 +68,7 @@ impl Kernel for Planar {
             std_b,
         };
         let bindings = [("picture", inputs[0]), ("crop", inputs[1]), ("output", outputs[0])];
-        let grid = Grid::linear(op.size * op.size, 64);
+        let grid = Grid::linear(op.height * op.width, 64);
         recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
         Ok(())
     }

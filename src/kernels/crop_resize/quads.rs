@@ -9,7 +9,6 @@ use crate::shader::{Shader, Variant, shader_params};
 shader_params! {
     struct Params {
         map: layout::Quads,
-        size: u32,
         capacity: u32,
         shift_r: f32,
         shift_g: f32,
@@ -21,6 +20,7 @@ shader_params! {
         std_g: f32,
         std_b: f32,
         pad0: u32,
+        pad1: u32,
     }
 }
 
@@ -67,7 +67,6 @@ impl Kernel for Quads {
         let [std_r, std_g, std_b] = op.std;
         let params = Params {
             map,
-            size: op.size as u32,
             capacity: recording.dims(inputs[0])[0] as u32,
             shift_r,
             shift_g,
@@ -79,6 +78,7 @@ impl Kernel for Quads {
             std_g,
             std_b,
             pad0: 0,
+            pad1: 0,
         };
         let bindings = [("picture", inputs[0]), ("crop", inputs[1]), ("output", outputs[0])];
         let grid = Grid::Workgroups([map.width.div_ceil(8), map.height.div_ceil(32), 1]);

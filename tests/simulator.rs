@@ -6,28 +6,28 @@ use std::sync::Mutex;
 
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
-use smr_gpu::sensor::camera::{Camera, NormalTable};
-use smr_gpu::sensor::conditions::{Conditions, Forced, TYPICAL_CONTRAST};
-use smr_gpu::sensor::contact::{Contact, NO_BODY, Stop, solve};
-use smr_gpu::sensor::dataset::{Progress, Settings, Step, scene_seed, simulate};
-use smr_gpu::sensor::distractors::{Distractor, Part};
-use smr_gpu::sensor::frame::{FIELD_MM, Frame};
-use smr_gpu::sensor::gel::{Elasticity, Grid, Layer};
-use smr_gpu::sensor::label::{imprints, visible_share};
-use smr_gpu::sensor::lamps::Lamps;
-use smr_gpu::sensor::look::Sideways;
-use smr_gpu::sensor::markers::Markers;
-use smr_gpu::sensor::optics::{
+use smr_gpu::simulator::camera::{Camera, NormalTable};
+use smr_gpu::simulator::conditions::{Conditions, Forced, TYPICAL_CONTRAST};
+use smr_gpu::simulator::contact::{Contact, NO_BODY, Stop, solve};
+use smr_gpu::simulator::dataset::{Progress, Settings, Step, scene_seed, simulate};
+use smr_gpu::simulator::distractors::{Distractor, Part};
+use smr_gpu::simulator::frame::{FIELD_MM, Frame};
+use smr_gpu::simulator::gel::{Elasticity, Grid, Layer};
+use smr_gpu::simulator::label::{imprints, visible_share};
+use smr_gpu::simulator::lamps::Lamps;
+use smr_gpu::simulator::look::Sideways;
+use smr_gpu::simulator::markers::Markers;
+use smr_gpu::simulator::optics::{
     Fit, NORMAL_TERMS, POSITION_TERMS, Shading, TERMS, measured_sensors, normal_terms,
     position_terms,
 };
-use smr_gpu::sensor::render::{GRID, LEAST_IMPRINT_MM, Renderer, Request, STOP, contact_grid};
-use smr_gpu::sensor::scene::{Body, Mix, Placed, Scene};
-use smr_gpu::sensor::shadow::{Ray, cast};
-use smr_gpu::sensor::smooth;
-use smr_gpu::sensor::snaps::{Kind, Snap};
-use smr_gpu::sensor::surface::Surface;
-use smr_gpu::sensor::{Error, calibrate};
+use smr_gpu::simulator::render::{GRID, LEAST_IMPRINT_MM, Renderer, Request, STOP, contact_grid};
+use smr_gpu::simulator::scene::{Body, Mix, Placed, Scene};
+use smr_gpu::simulator::shadow::{Ray, cast};
+use smr_gpu::simulator::smooth;
+use smr_gpu::simulator::snaps::{Kind, Snap};
+use smr_gpu::simulator::surface::Surface;
+use smr_gpu::simulator::{Error, calibrate};
 
 const PICTURE_PX: usize = Frame::PAPER.width;
 const MM_PER_PX: f64 = Frame::PAPER.mm_per_pixel;

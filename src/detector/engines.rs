@@ -1,0 +1,148 @@
+//! The network on one device, for each size of input that pictures ask for.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use crate::detector::engine::{self, Engine};
+use crate::detector::{Config, Device, WeightSource};
+use crate::error::{Error, Result};
+use crate::gpu::{AdapterChoice, Gpu, GpuOptions};
+use crate::lower::Choice;
+use crate::model::{ModelConfig, Network, Thresholds, Weights};
+
+/// Sizes that are kept ready; of one more, the one that was not used for longest goes.
+const MOST: usize = 4;
+
+/// A device, and an engine on it for each size.
+pub(super) struct Engines {
+    config: Config,
+    weights: Weights,
+    thresholds: Thresholds,
+    /// `None` for the CPU.
+    gpu: Option<Arc<Gpu>>,
+    /// What runs the network, for people.
+    pub adapter: String,
+    /// Which kernels run it.
+    pub choice: Choice,
+    /// What went otherwise than the configuration says, for people.
+    pub remarks: Vec<String>,
+    /// Height and width, the last used last.
+    ready: Mutex<Vec<([usize; 2], Arc<Engine>)>>,
+    /// Held while one is built.
+    building: Mutex<()>,
+}
+
+impl Engines {
+    /// Loads the weights and opens what the configuration names, or takes `gpu`.
+    pub async fn open(config: &Config, gpu: Option<Arc<Gpu>>) -> Result<Self> {
+        let weights = match &config.weights {
+            WeightSource::File(path) => Weights::open(path)?,
+            WeightSource::Bytes(name, bytes) => {
+                Weights::from_shared(name, Arc::new(bytes.clone()))?
+            }
+        };
+        let thresholds = config.thresholds(weights.config())?;
+        let gpu = match gpu {
+            Some(gpu) => Some(gpu),
+            None => open_device(config).await?,
+        };
+        let (mut choice, mut remarks) = (Choice::default(), Vec::new());
+        let adapter = match (&gpu, &config.device) {
+            (Some(gpu), _) => {
+                choice = engine::choose(config, gpu, &mut remarks);
+                format!("{} ({})", gpu.info().name, gpu.info().backend)
+            }
+            (None, Device::Reference) => "CPU reference (f64)".to_owned(),
+            (None, _) => "CPU (f32)".to_owned(),
+        };
+        Ok(Self {
+            config: config.clone(),
+            weights,
+            thresholds,
+            gpu,
+            adapter,
+            choice,
+            remarks,
+            ready: Mutex::default(),
+            building: Mutex::default(),
+        })
+    }
+
+    /// The configuration that the weights carry.
+    pub fn model(&self) -> &ModelConfig {
+        self.weights.config()
+    }
+
+    /// Refuses weights that make no network.
+    ///
+    /// # Errors
+    /// As [`Network::new`].
+    pub fn check(&self) -> Result<()> {
+        Network::new(self.weights.clone(), [32; 2], self.thresholds).map(|_| ())
+    }
+
+    /// The engine for inputs of `size`, height and width; built first if no picture asked for it lately.
+    /// Building blocks this thread.
+    ///
+    /// # Errors
+    /// As [`Engine::new`].
+    pub fn engine(&self, size: [usize; 2]) -> Result<Arc<Engine>> {
+        if let Some(engine) = self.find(size) {
+            return Ok(engine);
+        }
+        let _one = self.building.lock().unwrap_or_else(PoisonError::into_inner);
+        // Another thread may have been faster.
+        if let Some(engine) = self.find(size) {
+            return Ok(engine);
+        }
+        let like = self.ready().last().map(|(_, engine)| engine.clone());
+        let network = Network::new(self.weights.clone(), size, self.thresholds)?;
+        let engine =
+            Engine::new(&self.config, network, self.gpu.as_ref(), &self.choice, like.as_deref());
+        let engine = Arc::new(pollster::block_on(engine)?);
+        let mut ready = self.ready();
+        ready.push((size, engine.clone()));
+        if ready.len() > MOST {
+            ready.remove(0);
+        }
+        Ok(engine)
+    }
+
+    fn find(&self, size: [usize; 2]) -> Option<Arc<Engine>> {
+        let mut ready = self.ready();
+        let at = ready.iter().position(|(of, _)| *of == size)?;
+        let found = ready.remove(at);
+        ready.push(found);
+        ready.last().map(|(_, engine)| engine.clone())
+    }
+
+    fn ready(&self) -> MutexGuard<'_, Vec<([usize; 2], Arc<Engine>)>> {
+        self.ready.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Opens the adapter that the configuration names; `None` for the CPU.
+async fn open_device(config: &Config) -> Result<Option<Arc<Gpu>>> {
+    let options = |adapter: AdapterChoice| GpuOptions {
+        adapter,
+        timeout: config.timeout,
+        checked: config.checked,
+        faults: config.faults.clone(),
+    };
+    match &config.device {
+        #[cfg(not(feature = "cpu"))]
+        Device::Cpu => {
+            let expected = "an adapter or `reference`; the CPU needs the feature `cpu`";
+            Err(Error::param("detect", "device", expected, "`cpu`"))
+        }
+        #[cfg(feature = "cpu")]
+        Device::Cpu => Ok(None),
+        Device::Reference => Ok(None),
+        Device::Gpu(choice) => Gpu::open(options(choice.clone())).await.map(Some),
+        Device::Auto => match Gpu::open(options(AdapterChoice::Hardware)).await {
+            // Without the CPU path a software adapter is better than nothing.
+            Err(Error::NoAdapter { .. }) if cfg!(feature = "cpu") => Ok(None),
+            Err(Error::NoAdapter { .. }) => Gpu::open(options(AdapterChoice::Auto)).await.map(Some),
+            other => other.map(Some),
+        },
+    }
+}

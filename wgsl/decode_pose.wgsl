@@ -1,0 +1,76 @@
+// The pose of each detection, from the row of the region it came from; an invocation each.
+
+struct Params {
+    rows: u32,
+    capacity: u32,
+    classes: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+// A row (c, s, v, vx, vy, w) a region.
+@group(0) @binding(1) var<storage, read> rows: array<f32>;
+@group(0) @binding(2) var<storage, read> keep: array<u32>;
+@group(0) @binding(3) var<storage, read> count: array<u32>;
+@group(0) @binding(4) var<storage, read_write> output: array<f32>;
+
+// include: index
+
+const DEGREES: f32 = 57.29577951308232;
+const PI: f32 = 3.141592653589793;
+const TAN_EIGHTH_TURN: f32 = 0.4142135623730951;
+const LEAST_NORMAL: f32 = 1.1754944e-38;
+
+// Zero for what a device may take for zero anyway.
+fn normal(x: f32) -> f32 {
+    return select(x, 0.0, abs(x) < LEAST_NORMAL);
+}
+
+// WGSL's own atan2 may be off by 4096 ULP; this is arctan's series where it converges to 2e-8.
+fn arc_tangent(y: f32, x: f32) -> f32 {
+    let most = max(abs(x), abs(y));
+    if most == 0.0 {
+        return 0.0;
+    }
+    let t = min(abs(x), abs(y)) / most;
+    let far = t > TAN_EIGHTH_TURN;
+    let u = select(t, (t - 1.0) / (t + 1.0), far);
+    let q = u * u;
+    var series = 1.0 / 13.0 - q / 15.0;
+    series = 1.0 / 11.0 - q * series;
+    series = 1.0 / 9.0 - q * series;
+    series = 1.0 / 7.0 - q * series;
+    series = 1.0 / 5.0 - q * series;
+    series = 1.0 / 3.0 - q * series;
+    var angle = select(0.0, 0.25 * PI, far) + (u - u * q * series);
+    angle = select(angle, 0.5 * PI - angle, abs(y) > abs(x));
+    angle = select(angle, PI - angle, x < 0.0);
+    return select(angle, -angle, y < 0.0);
+}
+
+// The standard deviation of a clamped logarithm of a variance.
+fn deviation(v: f32, most: f32) -> f32 {
+    return exp(0.5 * clamp(v, -12.0, most));
+}
+
+@compute @workgroup_size(64)
+fn main(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let at = linear_index(workgroup, workgroups, local, 64u);
+    if at >= min(count[0], params.capacity) {
+        return;
+    }
+    let row = 6u * min(keep[at] / params.classes, params.rows - 1u);
+    let angle = arc_tangent(normal(rows[row + 1u]), normal(rows[row]));
+    output[5u * at] = angle * DEGREES;
+    // ln(pi^2 / 3) and ln 100.
+    output[5u * at + 1u] = deviation(rows[row + 2u], 1.1908475) * DEGREES;
+    output[5u * at + 2u] = deviation(rows[row + 3u], 4.6051702);
+    output[5u * at + 3u] = deviation(rows[row + 4u], 4.6051702);
+    let logit = rows[row + 5u];
+    // So that nothing overflows.
+    let e = exp(-abs(logit));
+    output[5u * at + 4u] = select(e, 1.0, logit >= 0.0) / (1.0 + e);
+}

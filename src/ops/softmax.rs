@@ -14,7 +14,7 @@ pub static ENTRY: Entry = Entry {
     name: "softmax",
     takes: "input [N, C]; optional: count u32 [1]",
     gives: "output [N, C]",
-    params: &[Param::optional("temperature", "1", Range::Numbers(1e-3, 1e3))],
+    params: &[Param::optional("temperature", "1", Range::Number(1e-3, 1e3))],
     build,
     cases,
 };

@@ -53,6 +53,7 @@
 //! | [`simulator`] | the simulated sensor: gel, contact, optics, camera, snaps |
 //! | [`coco`] | labelled pictures from COCO annotations |
 //! | [`metrics`] | intersection over union, average precision, centre error |
+//! | [`tradeoff`] | error against run time, and which way to run a network to choose |
 //!
 //! An operation is one stem in five places: `wgsl/conv2d/`, `src/kernels/conv2d/`,
 //! `src/ops/conv2d.rs`, `src/cpu/conv2d.rs`, `tests/ops/conv2d.rs`. The network is built once, as a
@@ -95,6 +96,8 @@ pub mod shape;
 #[cfg(feature = "simulator")]
 pub mod simulator;
 pub mod tensor;
+#[cfg(feature = "eval")]
+pub mod tradeoff;
 pub mod tune;
 
 pub use detector::{Comparison, Config, Detection, Detections, Device, GpuDetector, WeightSource};

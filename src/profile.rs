@@ -8,8 +8,9 @@ use std::time::Duration;
 use crate::error::{Error, Result};
 use crate::gpu::{Gpu, Profile, Program, ProgramOptions, Slot};
 use crate::graph::{Graph, TensorId};
-use crate::kernels::{Recording, roof};
+use crate::kernels::{Caps, Command, Grid, Recording, roof};
 use crate::lower::{Choice, Lowered, Request, lower};
+use crate::shader::reflect;
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
@@ -38,6 +39,72 @@ pub struct Roof {
     pub multiply_adds: f64,
     /// Bytes a second, read and written, of a copy from buffer to buffer by a shader.
     pub bytes: f64,
+}
+
+/// What one command asks of an adapter, known without any.
+#[derive(Clone, Debug)]
+pub struct Cost {
+    /// Stage of the network.
+    pub stage: String,
+    /// The kernel, or `copy`.
+    pub kernel: String,
+    /// Workgroups; 0 for a copy, and where a count on the device decides.
+    pub workgroups: u64,
+    /// Invocations of a workgroup.
+    pub invocations: u64,
+    /// Bytes of the tensors that it reads and writes, each once.
+    pub bytes: u64,
+    /// Multiply-adds of the operation's definition; 0 for all but one of an operation's commands.
+    pub multiply_adds: u64,
+}
+
+/// What the commands that run `graph` on an adapter like `caps` ask of it.
+///
+/// # Errors
+/// As [`lower`].
+pub fn costs(graph: &Graph, caps: &Caps, choice: &Choice) -> Result<Vec<Cost>> {
+    let lowered = lower(graph, &Request { keep: &[], batch: 1, caps, choice })?;
+    let recording = &lowered.recording;
+    let mut found: Vec<Cost> = Vec::new();
+    for (command, node) in recording.commands().iter().zip(&lowered.owners) {
+        let own = &graph.nodes()[*node];
+        let spec = |ids: &[TensorId]| -> Vec<TensorSpec> {
+            ids.iter().map(|id| graph.spec(*id).clone()).collect()
+        };
+        let (read, wrote) = (spec(&own.inputs), spec(&own.outputs));
+        let tensors = command.tensors();
+        let bytes = tensors.iter().map(|id| recording.tensors()[id.0].storage.bytes());
+        let mut cost = Cost {
+            stage: graph.stages()[own.stage].clone(),
+            kernel: "copy".into(),
+            workgroups: 0,
+            invocations: 0,
+            bytes: bytes.sum(),
+            multiply_adds: 0,
+        };
+        if let Command::Dispatch(dispatch) = command {
+            cost.kernel = dispatch.shader.stem.into();
+            let reflection = reflect(dispatch.shader, &dispatch.variant)?;
+            let entry = reflection.entries.iter().find(|e| e.name == dispatch.entry);
+            cost.invocations =
+                entry.map_or(0, |e| e.workgroup_size.iter().map(|n| u64::from(*n)).product());
+            cost.workgroups = match dispatch.grid {
+                Grid::Workgroups(grid) => grid.iter().map(|n| u64::from(*n)).product(),
+                Grid::Indirect(_) => 0,
+            };
+            cost.multiply_adds = own.op.multiply_adds(&read, &wrote);
+        }
+        found.push(cost);
+    }
+    // Of an operation in several passes, the one that reads most has the products.
+    for (at, node) in lowered.owners.iter().enumerate() {
+        let own = lowered.owners.iter().enumerate().filter(|(_, n)| *n == node).map(|(i, _)| i);
+        let most = own.max_by_key(|i| (found[*i].multiply_adds > 0, found[*i].bytes));
+        if most != Some(at) {
+            found[at].multiply_adds = 0;
+        }
+    }
+    Ok(found)
 }
 
 /// Runs `graph` on `gpu` so many times with every command timed for itself.

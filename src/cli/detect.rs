@@ -9,6 +9,7 @@ use serde::Serialize;
 use smr_gpu::detector::Stages;
 use smr_gpu::files::Outputs;
 use smr_gpu::graph::StageTime;
+use smr_gpu::tradeoff::Limit;
 use smr_gpu::{Detection, Detections, Frame, GpuDetector, WeightSource};
 
 use super::detector::{self, DetectorArgs, fraction};
@@ -56,6 +57,21 @@ pub(super) struct Args {
     #[arg(long, value_name = "FILE.safetensors")]
     dump_stages: Option<PathBuf>,
 
+    /// Run as the table says that `smr-gpu tradeoff` wrote: the fastest configuration within
+    /// --max-shift-mm, or with --min-iou. Refused where adapter, driver or weights are not the table's.
+    #[arg(long, value_name = "JSON", conflicts_with_all = ["weights", "size", "device"])]
+    tradeoff: Option<PathBuf>,
+
+    /// With --tradeoff: nineteen of twenty boxes are within so many millimetres of the base's.
+    #[arg(long, value_name = "MM", requires = "tradeoff", value_parser = super::tradeoff::millimetres)]
+    #[arg(default_value_t = super::tradeoff::SHIFT_MM)]
+    max_shift_mm: f64,
+
+    /// With --tradeoff: the mean overlap with the labels is at least this.
+    #[arg(long, value_name = "IOU", requires = "tradeoff", conflicts_with = "max_shift_mm")]
+    #[arg(value_parser = fraction)]
+    min_iou: Option<f32>,
+
     #[command(flatten)]
     detector: DetectorArgs,
 }
@@ -90,6 +106,13 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         return Ok(exit);
     }
     let mut config = args.detector.config()?;
+    if let Some(table) = &args.tradeoff {
+        let limit = match args.min_iou {
+            Some(iou) => Limit::Iou(iou.into()),
+            None => Limit::ShiftMm(args.max_shift_mm),
+        };
+        config = super::tradeoff::chosen(table, limit, config)?;
+    }
     config.score = args.conf;
     config.max_detections = args.max_det.into();
     config.classes = args.classes.clone();

@@ -12,8 +12,9 @@ use super::exit::{Exit, Failure};
 use super::output::tell;
 use super::tune;
 
-/// The weight file, relative to the folders in which it is looked for.
-const WEIGHTS: &str = "weights/smrnet.safetensors";
+/// The weight files by name, relative to the folders in which they are looked for.
+const WEIGHTS: [(&str, &str); 2] =
+    [("large", "weights/smrnet.safetensors"), ("small", "weights/smrnet-s.safetensors")];
 /// Names a weight file where `--weights` does not.
 const WEIGHTS_VARIABLE: &str = "SMR_GPU_WEIGHTS";
 
@@ -30,9 +31,10 @@ pub(super) struct DeviceArgs {
 /// Which network finds snaps, and where it runs.
 #[derive(Debug, clap::Args)]
 pub(super) struct DetectorArgs {
-    /// Weight file [default: $SMR_GPU_WEIGHTS, else weights/smrnet.safetensors in this folder, else
-    /// beside the program].
-    #[arg(long, value_name = "FILE")]
+    /// `large`, the paper's network; `small`, with an eighth of its multiply-adds; or a weight file
+    /// [default: $SMR_GPU_WEIGHTS, else `large`]. The named ones are looked for in this folder, then
+    /// beside the program.
+    #[arg(long, value_name = "large|small|FILE")]
     weights: Option<PathBuf>,
 
     /// Of two boxes of a class that overlap by more than this (intersection over union, 0 to 1),
@@ -96,7 +98,7 @@ fn sensor(text: &str) -> Result<Sensor, String> {
 ///
 /// # Errors
 /// In words.
-fn input_size(text: &str) -> Result<usize, String> {
+pub(super) fn input_size(text: &str) -> Result<usize, String> {
     let size = text.parse().ok().filter(|size| ModelConfig::is_input_size(*size));
     size.ok_or_else(|| format!("expected {}", ModelConfig::INPUT_SIZES))
 }
@@ -184,17 +186,16 @@ pub(super) fn gpu_only(device: &Device) -> Result<&AdapterChoice, Failure> {
     }
 }
 
-fn weight_file(given: Option<&Path>) -> Result<PathBuf, Failure> {
-    if let Some(path) = given {
-        return Ok(path.into());
-    }
-    if let Some(path) = std::env::var_os(WEIGHTS_VARIABLE) {
-        return Ok(path.into());
-    }
+pub(super) fn weight_file(given: Option<&Path>) -> Result<PathBuf, Failure> {
+    let variable = std::env::var_os(WEIGHTS_VARIABLE).map(PathBuf::from);
+    let given = given.map(Path::to_path_buf).or(variable).unwrap_or_else(|| WEIGHTS[0].0.into());
+    let Some((_, file)) = WEIGHTS.iter().find(|(name, _)| Path::new(name) == given) else {
+        return Ok(given);
+    };
     let program = std::env::current_exe().unwrap_or_default();
     // The third folder up from target/release/smr-gpu is the checkout.
     let folders = program.ancestors().skip(1).take(3);
-    let found = std::iter::once(Path::new("")).chain(folders).map(|f| f.join(WEIGHTS));
+    let found = std::iter::once(Path::new("")).chain(folders).map(|f| f.join(file));
     let found: Vec<PathBuf> = found.collect();
     match found.iter().find(|path| path.is_file()) {
         Some(path) => Ok(path.clone()),

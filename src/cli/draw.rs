@@ -15,7 +15,7 @@ use smr_gpu::files::{self, Outputs};
 use super::exit::{Exit, Failure};
 use super::source::Source;
 
-const FONT: &[u8] = include_bytes!("../../assets/font/DejaVuSans-Bold.ttf");
+pub(super) const FONT: &[u8] = include_bytes!("../../assets/font/DejaVuSans-Bold.ttf");
 
 /// A colour a class, from Okabe and Ito's palette: they differ for colour-blind eyes too, and all
 /// are light enough for black letters.

@@ -65,10 +65,10 @@ pub(super) struct Args {
 }
 
 /// A labelled picture: where it is, and what it shows, by class.
-struct Labelled {
-    source: Source,
-    picture: Picture,
-    truths: Vec<Vec<Truth>>,
+pub(super) struct Labelled {
+    pub source: Source,
+    pub picture: Picture,
+    pub truths: Vec<Vec<Truth>>,
 }
 
 /// What a picture shows of a class and what was found, in pixels, and how large a pixel is.
@@ -181,13 +181,13 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     Ok(if failed > 0 { Exit::Inputs } else { Exit::Done })
 }
 
-fn style() -> ProgressStyle {
+pub(super) fn style() -> ProgressStyle {
     ProgressStyle::with_template("{pos}/{len} pictures {wide_bar} {eta} left")
         .unwrap_or_else(|_| ProgressStyle::default_bar())
 }
 
 /// The pictures of a folder, by their ids, with what they show of the weights' `classes`.
-fn read_labels(folder: &Path, classes: &[String]) -> Result<Vec<Labelled>, Failure> {
+pub(super) fn read_labels(folder: &Path, classes: &[String]) -> Result<Vec<Labelled>, Failure> {
     let file = folder.join("annotations.json");
     let failed =
         |message: String| Failure::new(Exit::Inputs, format!("{}: {message}", file.display()));

@@ -9,7 +9,8 @@ use super::output::tell;
 /// Shown below `--help`.
 pub(super) const HELP: &str = "\
 Exit codes: 0 done, 1 some inputs or checks failed, 2 usage, 3 weights, 4 no device, 5 device lost \
-or timed out, 6 some output could not be written, 141 stdout's reader went away";
+or timed out, 6 some output could not be written, 130 stopped by Ctrl-C, 141 stdout's reader went \
+away";
 
 /// How the program ends; of two that came up on the way, the greater counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -29,6 +30,8 @@ pub(super) enum Exit {
     Lost = 5,
     /// An output cannot be written.
     Output = 6,
+    /// Ctrl-C: what shells show of a program that SIGINT ends.
+    Interrupted = 130,
     /// Stdout's reader went away before the end: what shells show of a program that SIGPIPE ends.
     Pipe = 141,
 }

@@ -20,6 +20,7 @@ mod simulate;
 mod source;
 mod stdout;
 mod tensors;
+mod tradeoff;
 mod tune;
 
 use std::io::Write;
@@ -48,6 +49,10 @@ enum Command {
     Compare(compare::Args),
     Tune(tune::Args),
     Bench(bench::Args),
+    Tradeoff(tradeoff::Args),
+    /// What `tradeoff` runs in a process of its own.
+    #[command(hide = true)]
+    TradeoffPeak(tradeoff::PeakArgs),
     Simulate(Box<simulate::Args>),
     Calibrate(calibrate::Args),
 }
@@ -89,6 +94,8 @@ fn parse_and_run() -> Result<Exit, Failure> {
         Command::Compare(args) => compare::run(args),
         Command::Tune(args) => tune::run(args),
         Command::Bench(args) => bench::run(args),
+        Command::Tradeoff(args) => tradeoff::run(args),
+        Command::TradeoffPeak(args) => tradeoff::run_peak(args),
         Command::Simulate(args) => simulate::run(*args),
         Command::Calibrate(args) => calibrate::run(args),
     }

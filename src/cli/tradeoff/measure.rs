@@ -1,0 +1,334 @@
+//! Runs setups on the same pictures in turn, and holds what they find to f64 and to the labels.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use image::DynamicImage;
+use indicatif::ProgressBar;
+use smr_gpu::comparison::relative_l2;
+use smr_gpu::detector::Stages;
+use smr_gpu::metrics::{Areas, PictureBoxes, ScoredBox, average_precision, box_iou, center};
+use smr_gpu::tensor::Value;
+use smr_gpu::tradeoff::{Measured, Quality, Setup, Shift, Spread, StageError, Table};
+use smr_gpu::{Config, Detection, Detections, Frame, GpuDetector};
+
+use super::super::detector;
+use super::super::eval::{Labelled, style};
+use super::super::exit::{Exit, Failure};
+use super::super::picture;
+use super::super::source::Source;
+use super::setups::{Plan, configured};
+use super::{SCORE, peak};
+
+/// Average precision looks at detections down to this score, the convention of Faster R-CNN.
+const LEAST_SCORE: f32 = 0.05;
+/// Two boxes are of the same snap if they overlap by this much; a box is right likewise.
+const SAME: f64 = 0.5;
+/// Pictures whose stages are compared.
+const STAGE_PICTURES: usize = 2;
+/// Of the pictures, the share after which combinations join.
+const FIRST: usize = 4;
+
+/// A picture, and what the base finds in it in f64.
+struct Sample<'a> {
+    labelled: &'a Labelled,
+    picture: DynamicImage,
+    base: Detections,
+}
+
+/// A setup at work.
+struct Runner {
+    setup: Setup,
+    detector: GpuDetector,
+    peak_bytes: Option<u64>,
+    stages: Vec<StageError>,
+    wall_ms: Vec<f64>,
+    device_ms: Vec<f64>,
+    /// By picture.
+    found: Vec<Detections>,
+}
+
+/// Measures the plan's setups on the pictures, until all have seen all or `stopped` is set.
+///
+/// # Errors
+/// What a setup's detector returns, and a picture that cannot be read.
+pub(super) fn measure(
+    plan: &Plan,
+    pictures: &[Labelled],
+    classes: &[String],
+    stopped: &AtomicBool,
+) -> Result<Table, Failure> {
+    let stop = || stopped.load(Ordering::Relaxed);
+    let progress = ProgressBar::new(pictures.len() as u64).with_style(style());
+    progress.set_message("the base in f64");
+    let reference = build(&Setup { device: "reference".into(), ..plan.base.clone() }, false)?;
+    let mut samples = Vec::new();
+    for labelled in pictures {
+        if stop() {
+            break;
+        }
+        let picture = picture::read(&labelled.source)
+            .map_err(|e| Failure::new(Exit::Inputs, format!("{}: {e}", labelled.source)))?;
+        let base = look(&reference, labelled, &picture)?;
+        samples.push(Sample { labelled, picture, base });
+        progress.inc(1);
+    }
+    drop(reference);
+    progress.finish_and_clear();
+
+    let first = samples.len().div_ceil(FIRST);
+    let mut runners = Vec::new();
+    let mut goldens = HashMap::new();
+    prepare(&plan.single, &samples, &mut goldens, &mut runners, &stop)?;
+    run(&mut runners, &samples, 0..first, &stop)?;
+    let rows = runners.iter().map(|r| row(r, &samples, classes)).collect();
+    let more = plan.combinations(rows);
+    let mut joined = Vec::new();
+    prepare(&more, &samples, &mut goldens, &mut joined, &stop)?;
+    // They see what the others have seen, side by side with them.
+    runners.iter_mut().for_each(Runner::forget);
+    runners.append(&mut joined);
+    run(&mut runners, &samples, 0..samples.len(), &stop)?;
+    let seen = runners.iter().map(|r| r.found.len()).min().unwrap_or(0);
+    // A setup that was stopped on its way saw fewer: all are judged on what all have seen.
+    runners.iter_mut().for_each(|r| r.found.truncate(seen));
+    let rows = runners.iter().filter(|r| !r.wall_ms.is_empty());
+    let rows = rows.map(|r| row(r, &samples, classes)).collect();
+    Ok(plan.table(rows, seen, stop()))
+}
+
+/// Builds the setups' detectors, and measures what takes a process or a build of its own.
+fn prepare(
+    setups: &[Setup],
+    samples: &[Sample],
+    goldens: &mut HashMap<String, Vec<Stages>>,
+    runners: &mut Vec<Runner>,
+    stop: &dyn Fn() -> bool,
+) -> Result<(), Failure> {
+    let progress = ProgressBar::new(setups.len() as u64).with_style(style());
+    for setup in setups {
+        if stop() || samples.is_empty() {
+            break;
+        }
+        let few = &samples[..samples.len().min(STAGE_PICTURES)];
+        let golden = match goldens.get(&setup.what()) {
+            Some(golden) => golden,
+            None => {
+                let reference =
+                    build(&Setup { device: "reference".into(), ..setup.clone() }, true)?;
+                let golden: Result<Vec<_>, _> = few.iter().map(|s| stages(&reference, s)).collect();
+                goldens.entry(setup.what()).or_insert(golden?)
+            }
+        };
+        let errors = {
+            let keeping = build(setup, true)?;
+            let got: Result<Vec<_>, _> = few.iter().map(|s| stages(&keeping, s)).collect();
+            stage_errors(&got?, golden)
+        };
+        let detector = build(setup, false)?;
+        // Warm: compiled, uploaded, its buffers there.
+        look(&detector, few[0].labelled, &few[0].picture)?;
+        let Source::File(file) = &few[0].labelled.source else { continue };
+        runners.push(Runner {
+            setup: setup.clone(),
+            detector,
+            peak_bytes: peak::of(setup, file),
+            stages: errors,
+            wall_ms: Vec::new(),
+            device_ms: Vec::new(),
+            found: Vec::new(),
+        });
+        progress.inc(1);
+    }
+    progress.finish_and_clear();
+    Ok(())
+}
+
+/// Each picture by each setup in turn, so that a machine that changes its speed does so for all.
+fn run(
+    runners: &mut [Runner],
+    samples: &[Sample],
+    range: std::ops::Range<usize>,
+    stop: &dyn Fn() -> bool,
+) -> Result<(), Failure> {
+    let progress = ProgressBar::new(range.len() as u64).with_style(style());
+    for at in range {
+        for runner in runners.iter_mut() {
+            if stop() {
+                break;
+            }
+            runner.reach(at, samples)?;
+        }
+        progress.inc(1);
+    }
+    progress.finish_and_clear();
+    Ok(())
+}
+
+impl Runner {
+    fn forget(&mut self) {
+        self.wall_ms.clear();
+        self.device_ms.clear();
+        self.found.clear();
+    }
+
+    /// Looks at picture `at`, or with several at a time at those up to it when they are together.
+    fn reach(&mut self, at: usize, samples: &[Sample]) -> Result<(), Failure> {
+        let batch = self.setup.batch.max(1);
+        let last = at + 1 == samples.len();
+        if (at + 1) % batch != 0 && !last {
+            return Ok(());
+        }
+        let group = &samples[self.found.len()..=at];
+        let frames = group.iter().map(|s| frame(s.labelled, &s.picture));
+        let start = Instant::now();
+        let found: Vec<_> = match group {
+            [_] => frames.map(|f| self.detector.detect_frame(&f)).collect(),
+            _ => self.detector.detect_many(frames.collect::<Vec<_>>()).collect(),
+        };
+        let ms = start.elapsed().as_secs_f64() * 1e3 / group.len() as f64;
+        for (found, sample) in found.into_iter().zip(group) {
+            let found = found.map_err(|e| Failure::about(&sample.labelled.source, &e))?;
+            let device: f64 = found.stages.iter().map(|s| s.time.as_secs_f64() * 1e3).sum();
+            self.device_ms.extend((device > 0.0).then_some(device));
+            self.wall_ms.push(ms);
+            self.found.push(found);
+        }
+        Ok(())
+    }
+}
+
+fn build(setup: &Setup, keep_stages: bool) -> Result<GpuDetector, Failure> {
+    let (config, _) = configured(setup, Config::new(""))?;
+    detector::open(config.score(LEAST_SCORE).keep_stages(keep_stages))
+}
+
+fn frame<'a>(labelled: &Labelled, picture: &'a DynamicImage) -> Frame<'a> {
+    let mut frame = Frame::from(picture);
+    frame.mm_per_pixel = labelled.picture.mm_per_pixel;
+    frame
+}
+
+fn look(
+    detector: &GpuDetector,
+    labelled: &Labelled,
+    picture: &DynamicImage,
+) -> Result<Detections, Failure> {
+    let found = detector.detect_frame(&frame(labelled, picture));
+    found.map_err(|e| Failure::about(&labelled.source, &e))
+}
+
+fn stages(detector: &GpuDetector, sample: &Sample) -> Result<Stages, Failure> {
+    let found = detector.detect_with_stages(&frame(sample.labelled, &sample.picture));
+    Ok(found.map_err(|e| Failure::about(&sample.labelled.source, &e))?.1)
+}
+
+/// The largest errors of the maps that stages hand on, by their names.
+fn stage_errors(got: &[Stages], want: &[Stages]) -> Vec<StageError> {
+    let mut errors: Vec<StageError> = Vec::new();
+    for (got, want) in got.iter().zip(want) {
+        for (name, want) in want {
+            // A stage is called as its last tensor; what lies between has a layer's name.
+            let is_stage = name.split('.').count() <= 2 && !name.ends_with("not_finite");
+            let got = got.iter().find(|(n, _)| n == name).map(|(_, value)| value);
+            let (true, Some(Value::F32(got)), Value::F32(want)) = (is_stage, got, want) else {
+                continue;
+            };
+            // Rows that a count limits may be more or fewer.
+            if got.shape() != want.shape() {
+                continue;
+            }
+            let pairs = got.data().iter().zip(want.data());
+            let largest = pairs.map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
+            let relative_l2 = relative_l2(got.data(), want.data());
+            match errors.iter_mut().find(|e| e.stage == *name) {
+                Some(e) => {
+                    e.relative_l2 = e.relative_l2.max(relative_l2);
+                    e.largest = e.largest.max(largest);
+                }
+                None => errors.push(StageError { stage: name.clone(), relative_l2, largest }),
+            }
+        }
+    }
+    errors
+}
+
+fn row(runner: &Runner, samples: &[Sample], classes: &[String]) -> Measured {
+    let none = Spread { median: f64::INFINITY, percentile_95: f64::INFINITY, worst: f64::INFINITY };
+    Measured {
+        setup: runner.setup.clone(),
+        wall_ms: Spread::of(&runner.wall_ms).unwrap_or(none),
+        device_ms: Spread::of(&runner.device_ms),
+        peak_bytes: runner.peak_bytes,
+        stages: runner.stages.clone(),
+        shift: shift(&runner.found, samples),
+        quality: quality(&runner.found, samples, classes),
+    }
+}
+
+fn shown(found: &Detections) -> impl Iterator<Item = &Detection> {
+    found.detections.iter().filter(|d| d.score > SCORE)
+}
+
+fn iou(a: &Detection, b: &Detection) -> f64 {
+    box_iou(a.bbox.map(f64::from), b.bbox.map(f64::from))
+}
+
+/// What was found against what the base finds.
+fn shift(found: &[Detections], samples: &[Sample]) -> Shift {
+    let (mut mm, mut score, mut total) = (Vec::new(), Vec::new(), Shift::default());
+    for (found, sample) in found.iter().zip(samples) {
+        let mut free: Vec<&Detection> = shown(found).collect();
+        for base in shown(&sample.base) {
+            total.boxes += 1;
+            let same = free.iter().enumerate().filter(|(_, d)| d.class == base.class);
+            let best = same.map(|(i, d)| (i, iou(d, base))).max_by(|a, b| a.1.total_cmp(&b.1));
+            match best.filter(|(_, iou)| *iou >= SAME) {
+                Some((i, _)) => {
+                    let other = free.swap_remove(i);
+                    let [x, y] = [0, 1].map(|k| f64::from(other.center_mm[k] - base.center_mm[k]));
+                    mm.push(x.hypot(y));
+                    score.push(f64::from((other.score - base.score).abs()));
+                }
+                None => {
+                    mm.push(f64::INFINITY);
+                    total.lost += 1;
+                }
+            }
+        }
+        total.gained += free.len();
+    }
+    Shift { mm: Spread::of(&mm), score: Spread::of(&score), ..total }
+}
+
+/// What was found against the labels; `None` without any.
+fn quality(found: &[Detections], samples: &[Sample], classes: &[String]) -> Option<Quality> {
+    let (mut overlaps, mut errors, mut precisions) = (Vec::new(), Vec::new(), Vec::new());
+    for (index, class) in classes.iter().enumerate() {
+        let mut pictures = Vec::new();
+        for (found, sample) in found.iter().zip(samples) {
+            let of_class = found.detections.iter().filter(|d| d.class == *class);
+            let boxes = of_class
+                .map(|d| ScoredBox { bbox: d.bbox.map(f64::from), score: d.score.into() })
+                .collect();
+            let picture =
+                PictureBoxes { truths: sample.labelled.truths[index].clone(), found: boxes };
+            for (truth, best) in picture.best(SCORE.into()) {
+                overlaps.push(best.map_or(0.0, |(_, iou)| iou));
+                if let Some((right, _)) = best.filter(|(_, iou)| *iou >= SAME) {
+                    let ([x, y], [u, v]) = (center(truth.bbox), center(right.bbox));
+                    errors.push((x - u).hypot(y - v) * f64::from(found.mm_per_pixel));
+                }
+            }
+            pictures.push(picture);
+        }
+        precisions.extend(average_precision(&pictures, SAME, Areas::ALL));
+    }
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    (!overlaps.is_empty()).then(|| Quality {
+        iou: mean(&overlaps),
+        ap50: mean(&precisions),
+        center_error_mm: Spread::of(&errors).map_or(f64::INFINITY, |s| s.median),
+    })
+}

@@ -1,0 +1,172 @@
+//! `smr-gpu tradeoff`: error against run time of the ways to run the networks, on this machine.
+
+mod measure;
+mod peak;
+mod plot;
+mod report;
+mod setups;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use smr_gpu::files::Outputs;
+use smr_gpu::tradeoff::{Limit, Table};
+use smr_gpu::{Config, Device};
+
+pub(super) use peak::{Args as PeakArgs, run as run_peak};
+pub(super) use setups::configured;
+
+use super::detector::{DeviceArgs, fraction, open_gpu};
+use super::eval::read_labels;
+use super::exit::{Exit, Failure};
+use super::output::{line, tell};
+
+/// Measure error against run time of the ways to run the networks here
+///
+/// Runs each configuration on the same pictures, one after the other in turn, so that all meet the same
+/// machine: first those that differ from the base by one thing (network, size of the input, device,
+/// kernels, pictures at a time), then combinations of what was best. Writes tradeoff.json,
+/// tradeoff.csv, tradeoff.md, tradeoff.png and tradeoff.svg. The last line recommends a configuration;
+/// `smr-gpu detect --tradeoff tradeoff.json` uses it. Ctrl-C keeps what was measured.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Folder with annotations.json and the pictures.
+    #[arg(long, value_name = "DIR")]
+    data: PathBuf,
+
+    /// Folder for the tables and plots; made if missing.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+
+    /// Look at the N pictures with the lowest ids alone.
+    #[arg(long, default_value_t = 100, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    limit: u32,
+
+    /// The networks, the base first [default: those of `large` and `small` that there are].
+    #[arg(long, value_name = "large|small|FILE", value_delimiter = ',')]
+    weights: Vec<String>,
+
+    /// Longer sides of the gel in the network's input, in pixels, multiples of 32, beside the scale that
+    /// the weights know.
+    #[arg(
+        long,
+        value_name = "PIXELS",
+        value_delimiter = ',',
+        default_value = "160,192,224,256,288,384"
+    )]
+    #[arg(value_parser = super::detector::input_size)]
+    sizes: Vec<usize>,
+
+    /// Recommend the fastest configuration whose boxes, nineteen of twenty, are within so many
+    /// millimetres of where the base has them in f64.
+    #[arg(long, value_name = "MM", conflicts_with = "min_iou", value_parser = super::tradeoff::millimetres)]
+    max_shift_mm: Option<f64>,
+
+    /// Recommend the fastest configuration whose mean overlap with the labels is at least this.
+    #[arg(long, value_name = "IOU", value_parser = fraction)]
+    min_iou: Option<f32>,
+
+    /// The adapter to measure beside the CPU.
+    #[command(flatten)]
+    device: DeviceArgs,
+}
+
+/// Boxes that count have a score above this.
+const SCORE: f32 = 0.5;
+/// What is recommended where nothing else is asked for: a tenth of a millimetre.
+pub(super) const SHIFT_MM: f64 = 0.1;
+
+/// Parses a length.
+///
+/// # Errors
+/// In words.
+pub(super) fn millimetres(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|mm| (0.0..=1000.0).contains(mm));
+    value.ok_or_else(|| "expected a number of millimetres from 0 to 1000".to_owned())
+}
+
+pub(super) fn run(args: Args) -> Result<Exit, Failure> {
+    let failed =
+        |e: std::io::Error| Failure::new(Exit::Output, format!("{}: {e}", args.out.display()));
+    std::fs::create_dir_all(&args.out).map_err(failed)?;
+    let file = |extension: &str| args.out.join(format!("tradeoff.{extension}"));
+    let mut outputs = Outputs::default();
+    let extensions = ["json", "csv", "md", "png", "svg"];
+    extensions.iter().try_for_each(|e| outputs.check(&file(e)))?;
+
+    let weights = setups::weights(&args.weights)?;
+    let gpu = match &args.device.device {
+        Device::Auto => open_gpu(&"gpu".parse::<Device>()?).ok().flatten(),
+        device => open_gpu(device)?,
+    };
+    let gpu = gpu.map(|gpu| (gpu, args.device.device.clone()));
+    let classes = classes_of(&weights[0].1)?;
+    let mut pictures = read_labels(&args.data, &classes)?;
+    pictures.truncate(args.limit as usize);
+
+    let stopped = Arc::new(AtomicBool::new(false));
+    let stop = stopped.clone();
+    let handler = ctrlc::set_handler(move || stop.store(true, Ordering::Relaxed));
+    if let Err(e) = handler {
+        tell(format!("Ctrl-C will lose what was measured: {e}"));
+    }
+    let plan = setups::Plan::new(&weights, &args.sizes, gpu.as_ref());
+    let table = measure::measure(&plan, &pictures, &classes, &stopped)?;
+
+    let json = serde_json::to_vec_pretty(&table)
+        .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", file("json").display())))?;
+    let plots = plot::draw(&table).map_err(|e| Failure::new(Exit::Output, format!("plot: {e}")))?;
+    let texts = [json, report::csv(&table).into_bytes(), report::markdown(&table).into_bytes()];
+    for (extension, bytes) in extensions.iter().zip(texts.iter().chain([&plots.png, &plots.svg])) {
+        outputs.write(&file(extension), bytes)?;
+    }
+    line(report::markdown(&table).trim_end())?;
+    if table.stopped {
+        tell("Stopped: each configuration saw the same pictures, but not all of them.");
+    }
+    let limit = match (args.max_shift_mm, args.min_iou) {
+        (Some(mm), _) => Limit::ShiftMm(mm),
+        (None, Some(iou)) => Limit::Iou(iou.into()),
+        (None, None) => Limit::ShiftMm(SHIFT_MM),
+    };
+    line("")?;
+    line(recommendation(&table, limit))?;
+    Ok(if table.stopped { Exit::Interrupted } else { Exit::Done })
+}
+
+fn recommendation(table: &Table, limit: Limit) -> String {
+    let asked = match limit {
+        Limit::ShiftMm(mm) => format!("nineteen of twenty boxes within {mm} mm of the base"),
+        Limit::Iou(iou) => format!("a mean overlap of at least {iou}"),
+    };
+    match table.choose(limit) {
+        Ok(row) => format!(
+            "Fastest with {asked}: {}, {:.1} ms a picture, {:.4} mm",
+            row.setup.name(),
+            row.wall_ms.median,
+            row.shift_mm()
+        ),
+        Err(e) => format!("None with {asked}: {e}"),
+    }
+}
+
+/// The classes that a weight file knows.
+fn classes_of(weights: &Path) -> Result<Vec<String>, Failure> {
+    let weights = smr_gpu::model::Weights::open(weights)?;
+    Ok(weights.config().classes.clone())
+}
+
+/// The configuration that `detect --tradeoff` takes from a table.
+///
+/// # Errors
+/// [`Exit::Usage`] for a table without a setup that fits, or that was measured elsewhere.
+pub(super) fn chosen(table: &Path, limit: Limit, given: Config) -> Result<Config, Failure> {
+    let usage = |e: smr_gpu::Error| Failure::usage(format!("--tradeoff: {e}"));
+    let table = Table::open(table).map_err(usage)?;
+    let setup = &table.choose(limit).map_err(usage)?.setup;
+    let (config, place) = configured(setup, given)?;
+    let digest = setups::digest_of(&config)?;
+    table.check(setup, place.as_ref(), &digest).map_err(usage)?;
+    Ok(config)
+}

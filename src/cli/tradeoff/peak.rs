@@ -1,0 +1,55 @@
+//! The most memory that a process takes for one picture: measured by a process of its own.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use smr_gpu::Config;
+use smr_gpu::tradeoff::Setup;
+
+use super::super::exit::{Exit, Failure};
+use super::super::output::line;
+use super::super::source::Source;
+use super::super::{detector, picture};
+use super::setups::configured;
+
+/// Detect in one picture and print the process's peak resident memory in bytes.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct Args {
+    /// The picture.
+    picture: PathBuf,
+
+    /// The setup as JSON.
+    setup: String,
+}
+
+pub(in crate::cli) fn run(args: Args) -> Result<Exit, Failure> {
+    let setup: Setup =
+        serde_json::from_str(&args.setup).map_err(|e| Failure::usage(e.to_string()))?;
+    let (config, _) = configured(&setup, Config::new(""))?;
+    let detector = detector::open(config)?;
+    let source = Source::File(args.picture);
+    let picture = picture::read(&source).map_err(|e| Failure::new(Exit::Inputs, e))?;
+    detector.detect(&picture)?;
+    if let Some(bytes) = peak_bytes() {
+        line(bytes)?;
+    }
+    Ok(Exit::Done)
+}
+
+/// The most resident memory that this process had; `None` where the system does not tell.
+fn peak_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kilobytes: u64 = line.trim().strip_suffix(" kB")?.parse().ok()?;
+    Some(kilobytes * 1024)
+}
+
+/// What a process of its own takes for one picture with this setup.
+pub(super) fn of(setup: &Setup, picture: &Path) -> Option<u64> {
+    let program = std::env::current_exe().ok()?;
+    let setup = serde_json::to_string(setup).ok()?;
+    let mut command = Command::new(program);
+    command.arg("tradeoff-peak").arg(picture).arg(setup).stderr(Stdio::null());
+    let output = command.output().ok().filter(|output| output.status.success())?;
+    String::from_utf8(output.stdout).ok()?.trim().parse().ok()
+}

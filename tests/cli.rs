@@ -180,7 +180,7 @@ fn a_device_that_takes_too_long_is_told_from_a_bad_picture() {
 #[test]
 fn without_an_adapter_the_cpu_detects() {
     let folder = folder();
-    ramp(40, 30).save(folder.path().join("x.png")).expect("saved");
+    ramp(40, 40).save(folder.path().join("x.png")).expect("saved");
     let ran = run_without_adapter(folder.path(), &["detect", "x.png", "--json"]).expect(0);
     // That is what `auto` means: nothing to tell.
     assert!(ran.told().is_empty(), "{:?}", ran.told());
@@ -240,7 +240,10 @@ fn bad_pictures_are_named_and_good_ones_go_through() {
     let ran = run(folder.path(), &arguments).expect(1);
 
     let told = ran.told();
-    assert_eq!(told.len(), bad.len() + 3, "{told:#?}");
+    // One more line, once, for the good ones that cannot be of the paper's sensor.
+    assert_eq!(told.len(), bad.len() + 4, "{told:#?}");
+    let assumed = told.iter().filter(|line| line.contains("is no frame of the paper's sensor"));
+    assert_eq!(assumed.count(), 1, "{told:#?}");
     for (file, phrase) in bad.iter().chain(&[
         ("none", "expected a folder with pictures"),
         ("*.gif", "matches none"),
@@ -514,4 +517,43 @@ fn a_reader_that_leaves_ends_the_program_quietly() {
     let output = command(folder.path()).args(["op", "--list"]).stdout(writer).output();
     let ran = Ran::from(output.expect("the program runs")).expect(141);
     assert_eq!(ran.stderr, "");
+}
+
+/// A picture of 400 × 300 pixels that show 20 × 15 mm: what is said of it follows the options.
+#[test]
+fn the_sensor_sets_scale_and_input() {
+    let folder = folder();
+    ramp(400, 300).save(folder.path().join("x.png")).expect("saved");
+    let detect = |more: &[&str]| {
+        let common = ["detect", "x.png", "--json", "--device", "cpu"];
+        run(folder.path(), &[&common[..], more].concat())
+    };
+    let scale = |ran: &Ran| ran.json()[0]["mm_per_pixel"].as_f64().expect("a scale") as f32;
+    let assumed = detect(&[]).expect(0);
+    assumed.tells("400 × 300 is no frame of the paper's sensor");
+    assert_eq!(scale(&assumed), 40.0 / 300.0);
+    let stated = detect(&["--mm-per-pixel", "0.05"]).expect(0);
+    assert!(stated.told().is_empty(), "{:?}", stated.told());
+    assert_eq!(scale(&stated), 0.05);
+    let plain = detect(&["--sensor", "plain"]).expect(0);
+    assert_eq!(scale(&plain), 40.0 / 300.0);
+    // Frames of the shape of GelSight Mini's, with 5/4 of its pixels.
+    let mini = detect(&["--sensor", "gelsight-mini"]).expect(0);
+    assert_eq!(scale(&mini), 0.0634 / 1.25);
+    let text = r#"{ "name": "mine", "frame": [800, 600], "mm_per_pixel": 0.025 }"#;
+    fs::write(folder.path().join("mine.json"), text).expect("written");
+    assert_eq!(scale(&detect(&["--sensor", "mine.json"]).expect(0)), 0.05);
+
+    detect(&["--sensor", "paper"])
+        .expect(1)
+        .tells("sensor `paper`: expected frames of the shape of");
+    detect(&["--sensor", "nobody"])
+        .expect(2)
+        .tells("expected paper, gelsight-mini, plain or a file");
+    detect(&["--mm-per-pixel", "0.5"]).expect(1).tells("expected a field of 10 to 60 mm");
+    for scale in ["0", "-1", "NaN", "1e9"] {
+        detect(&["--mm-per-pixel", scale]).expect(2).tells("--mm-per-pixel");
+    }
+    fs::write(folder.path().join("mine.json"), "{}").expect("written");
+    detect(&["--sensor", "mine.json"]).expect(2).tells("missing field `name`");
 }

@@ -107,7 +107,8 @@ fn print(class: &Class, totals: BTreeMap<&str, Total>) {
     let all: f64 = totals.values().map(|t| t.seconds).sum();
     let mut rows: Vec<_> = totals.into_iter().collect();
     rows.sort_by(|a, b| b.1.seconds.total_cmp(&a.1.seconds));
-    for (kernel, t) in &rows {
+    let (shown, others): (Vec<_>, Vec<_>) = rows.iter().partition(|(_, t)| t.seconds > 0.02 * all);
+    for (kernel, t) in shown {
         // The roof over this intensity: of multiply-adds or of memory, whichever is lower.
         let roof = (t.multiply_adds / (gmac * 1e9)).max(t.bytes / (gbytes * 1e9));
         println!(
@@ -121,5 +122,13 @@ fn print(class: &Class, totals: BTreeMap<&str, Total>) {
             100.0 * roof / t.seconds.max(1e-12),
         );
     }
+    let (commands, seconds): (Vec<_>, Vec<_>) =
+        others.iter().map(|(_, t)| (t.commands, t.seconds)).unzip();
+    println!(
+        "| {} others | {} | | | | | {:.2} | |",
+        others.len(),
+        commands.iter().sum::<usize>(),
+        seconds.iter().sum::<f64>() * 1e3
+    );
     println!("| **all** | | | | | | **{:.1}** | |\n", all * 1e3);
 }

@@ -8,10 +8,10 @@ use std::time::Duration;
 use crate::error::{Error, Result};
 use crate::gpu::{Gpu, Profile, Program, ProgramOptions, Slot};
 use crate::graph::{Graph, TensorId};
-use crate::kernels::{Caps, Command, Grid, Recording, roof};
+use crate::kernels::{Caps, Command, Grid, Recording, Role, TensorInfo, roof};
 use crate::lower::{Choice, Lowered, Request, lower};
 use crate::shader::reflect;
-use crate::shape::TensorSpec;
+use crate::shape::{Extent, TensorSpec};
 use crate::tensor::Value;
 
 /// One command of a program.
@@ -52,7 +52,8 @@ pub struct Cost {
     pub workgroups: u64,
     /// Invocations of a workgroup.
     pub invocations: u64,
-    /// Bytes of the tensors that it reads and writes, each once.
+    /// Bytes of the tensors that it reads and writes, each once; without the picture, whose size is its
+    /// own.
     pub bytes: u64,
     /// Multiply-adds of the operation's definition; 0 for all but one of an operation's commands.
     pub multiply_adds: u64,
@@ -73,7 +74,10 @@ pub fn costs(graph: &Graph, caps: &Caps, choice: &Choice) -> Result<Vec<Cost>> {
         };
         let (read, wrote) = (spec(&own.inputs), spec(&own.outputs));
         let tensors = command.tensors();
-        let bytes = tensors.iter().map(|id| recording.tensors()[id.0].storage.bytes());
+        let bytes = tensors.iter().map(|id| match &recording.tensors()[id.0] {
+            TensorInfo { role: Role::Input(Extent::UpTo), .. } => 0,
+            info => info.storage.bytes(),
+        });
         let mut cost = Cost {
             stage: graph.stages()[own.stage].clone(),
             kernel: "copy".into(),

@@ -260,7 +260,10 @@ fn bad_pictures_are_named_and_good_ones_go_through() {
     assert_eq!(files, expected);
     for (record, file) in records.iter().zip(&good) {
         let fields: Vec<&String> = record.as_object().expect("an object").keys().collect();
-        let all = ["adapter", "detections", "file", "height", "kernels", "timings_ms", "width"];
+        let size = ["height", "mm_per_pixel", "width"];
+        let mut all = ["adapter", "detections", "file", "kernels", "timings_ms"].to_vec();
+        all.extend(size);
+        all.sort_unstable();
         assert_eq!(fields, all);
         let [width, height] = ["width", "height"].map(|k| record[k].as_u64().expect("a size"));
         let drawn = folder.path().join("drawn").join(drawn_name(file));
@@ -530,8 +533,8 @@ fn the_sensor_sets_scale_and_input() {
     };
     let scale = |ran: &Ran| ran.json()[0]["mm_per_pixel"].as_f64().expect("a scale") as f32;
     let assumed = detect(&[]).expect(0);
-    assumed.tells("400 × 300 is no frame of the paper's sensor");
     assert_eq!(scale(&assumed), 40.0 / 300.0);
+    assumed.tells("400 × 300 is no frame of the paper's sensor");
     let stated = detect(&["--mm-per-pixel", "0.05"]).expect(0);
     assert!(stated.told().is_empty(), "{:?}", stated.told());
     assert_eq!(scale(&stated), 0.05);

@@ -177,7 +177,7 @@ impl Runner {
     fn reach(&mut self, at: usize, samples: &[Sample]) -> Result<(), Failure> {
         let batch = self.setup.batch.max(1);
         let last = at + 1 == samples.len();
-        if (at + 1) % batch != 0 && !last {
+        if !(at + 1).is_multiple_of(batch) && !last {
             return Ok(());
         }
         let group = &samples[self.found.len()..=at];

@@ -88,11 +88,13 @@ impl Rect {
             .map(|(at, length)| at as f32 + length as f32 / 2.0)
     }
 
-    /// The largest square in its middle; up and left by half a pixel where the middle is between two.
-    pub(crate) fn central_square(&self) -> Self {
-        let side = self.width.min(self.height);
-        let (x, y) = (self.x + (self.width - side) / 2, self.y + (self.height - side) / 2);
-        Self { x, y, width: side, height: side }
+    /// The largest part in its middle whose longer side is at most `aspect` times the shorter, in whole
+    /// pixels; up and left by half a pixel where the middle is between two.
+    pub(crate) fn central(&self, aspect: f32) -> Self {
+        let most = (self.width.min(self.height) as f32 * aspect) as u32;
+        let (width, height) = (self.width.min(most), self.height.min(most));
+        let (x, y) = (self.x + (self.width - width) / 2, self.y + (self.height - height) / 2);
+        Self { x, y, width, height }
     }
 
     /// The same part of a picture that was scaled to `frame`, in whole pixels.
@@ -306,7 +308,7 @@ mod tests {
     fn square(frame: &Frame) -> Result<(Rect, Vec<u32>)> {
         frame.check()?;
         let all = Rect { x: 0, y: 0, width: frame.width, height: frame.height };
-        let part = frame.crop.unwrap_or(all).central_square();
+        let part = frame.crop.unwrap_or(all).central(1.0);
         Ok((part, frame.pixels(part)?))
     }
 

@@ -292,14 +292,15 @@ impl Sensor {
 }
 
 /// What a frame shows of a sensor that nobody named: the paper's. A frame of its shape has the gel where
-/// the paper's has; of any other the largest centred square is taken for the whole gel, 40 × 40 mm.
+/// the paper's has; any other shows gel all over, 40 mm along its shorter side, and of its longer one the
+/// middle [`FIELD_MM`] at most.
 pub(crate) fn assumed(frame: [u32; 2], crop: Option<Rect>) -> View {
     let [width, height] = frame;
     let paper = Sensor::paper().view(frame, None);
     let gel = paper.map_or(Rect { x: 0, y: 0, width, height }, |view| view.part);
     let gel = crop.unwrap_or(gel);
-    let part = gel.central_square();
-    let mm_per_pixel = PAPER_MM / part.width as f32;
+    let part = gel.central(FIELD_MM[1] / PAPER_MM);
+    let mm_per_pixel = PAPER_MM / part.width.min(part.height) as f32;
     View { frame, part, middle: gel.middle(), mm_per_pixel, distortion: 0.0 }
 }
 
@@ -308,10 +309,16 @@ pub(crate) fn assumption(frame: [u32; 2]) -> Option<String> {
     let [width, height] = frame;
     let known = Sensor::paper().view(frame, None).is_ok();
     (!known).then(|| {
-        let side = width.min(height);
+        let View { part, mm_per_pixel, .. } = assumed(frame, None);
+        let [across, along] = [part.width, part.height].map(|side| side as f32 * mm_per_pixel);
+        let seen = match [part.width, part.height] == frame {
+            true => "it is taken for".to_owned(),
+            false => {
+                format!("its central {} × {} pixels are taken for", part.width, part.height)
+            }
+        };
         format!(
-            "{width} × {height} is no frame of the paper's sensor: its central {side} × {side} pixels \
-             are taken for {PAPER_MM} × {PAPER_MM} mm"
+            "{width} × {height} is no frame of the paper's sensor: {seen} {across:.1} × {along:.1} mm"
         )
     })
 }
@@ -357,14 +364,19 @@ mod tests {
         assert_eq!(assumption([1920, 1200]), None);
         assert_eq!(assumption([500, 500]), None);
         let mini = assumed([320, 240], None);
-        assert_eq!((mini.part, mini.mm_per_pixel), (rect(40, 0, 240, 240), 40.0 / 240.0));
-        let want = "320 × 240 is no frame of the paper's sensor: its central 240 × 240 pixels are taken \
-                    for 40 × 40 mm";
+        assert_eq!((mini.part, mini.mm_per_pixel), (rect(0, 0, 320, 240), 40.0 / 240.0));
+        let want = "320 × 240 is no frame of the paper's sensor: it is taken for 53.3 × 40.0 mm";
         assert_eq!(assumption([320, 240]).as_deref(), Some(want));
+        // 60 mm at most: three halves of the shorter side.
+        let long = assumed([200, 801], None);
+        assert_eq!((long.part, long.mm_per_pixel), (rect(0, 250, 200, 300), 0.2));
+        let want = "200 × 801 is no frame of the paper's sensor: its central 200 × 300 pixels are taken \
+                    for 40.0 × 60.0 mm";
+        assert_eq!(assumption([200, 801]).as_deref(), Some(want));
         // A part that is named is what shows the gel.
-        let part = assumed([320, 240], Some(rect(10, 20, 101, 80)));
-        assert_eq!((part.part, part.middle), (rect(20, 20, 80, 80), [60.5, 60.0]));
-        // A line of pixels has a square too.
+        let part = assumed([320, 240], Some(rect(10, 20, 125, 80)));
+        assert_eq!((part.part, part.middle), (rect(12, 20, 120, 80), [72.5, 60.0]));
+        // A line of pixels has a middle too.
         assert_eq!(assumed([1, 8192], None).part, rect(0, 4095, 1, 1));
     }
 

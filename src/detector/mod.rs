@@ -236,8 +236,8 @@ impl GpuDetector {
     }
 
     /// Finds the snaps in a picture in memory. The network sees what [`Config::sensor`] says is gel;
-    /// without a sensor, and in a frame that cannot be the paper's, the largest centred square of it or
-    /// of its crop.
+    /// without a sensor, a frame that cannot be the paper's, or its crop, is taken for gel all over, 40 mm
+    /// along its shorter side, of which the middle 60 mm at most along the longer one are seen.
     ///
     /// # Errors
     /// [`Error::Picture`] for an empty picture, [`Error::Param`] for a frame whose buffer does not

@@ -34,6 +34,8 @@ from model import NETWORKS, Config, SmrNet, Variant
 
 WARMUP = 200  # steps
 EMA_EVERY, EMA_DECAY = 4, 0.998
+# What a network takes over from another beside which it learns.
+SHARED = ("pixels_per_mm", "mean", "std", "anchor_sizes", "anchor_ratios")
 
 
 def keep_memory() -> None:
@@ -151,7 +153,13 @@ class Run:
         self.student = None
         if args.student:
             config = replace(self.config, **NETWORKS[args.student])
+            first = weightfile.load(args.student_init) if args.student_init and state is None else None
+            # Its own file's anchors, mean and deviation must be this run's: both learn from the same views.
+            if first and {k: getattr(first.config, k) for k in SHARED} != {k: getattr(config, k) for k in SHARED}:
+                raise SystemExit(f"{args.student_init}: expected {', '.join(SHARED)} of the network that it learns from")
             self.student = Learner(config, args, self.device, Distiller(self.learner.model, config).to(self.device))
+            if first:
+                self.student.begin_with(first, args.student_init)
         if state is not None:
             self.learner.load(state)
             if self.student:
@@ -165,7 +173,7 @@ class Run:
         else:
             like = weightfile.load(args.like).config if args.like else Config()
             variant = Variant(safe=not args.no_safe, msff=not args.no_msff, rw=not args.no_rw)
-            kept = {k: getattr(like, k) for k in ("pixels_per_mm", "mean", "std", "anchor_sizes", "anchor_ratios")}
+            kept = {k: getattr(like, k) for k in SHARED}
             config = Config(**kept, **NETWORKS[args.network], variant=variant)
         # A temperature fits the weights that it was measured with.
         config.classes, config.directed, config.pose, config.temperature = [*CLASSES], [*DIRECTED], True, 1.0
@@ -263,6 +271,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--like", type=Path, help="weight file that lends a run from scratch its anchors, mean and deviation")
     parser.add_argument("--teacher", type=Path, help="weight file of a network to learn from")
     parser.add_argument("--student", choices=NETWORKS, help="a network that learns beside this one, on the same views, also from what this one says of them")
+    parser.add_argument("--student-init", type=Path, help="weight file from which that network starts; by default from scratch")
     parser.add_argument("--student-lr", type=float, default=1e-3)
     parser.add_argument("--cache", type=Path)
     parser.add_argument("--seed", type=int, default=1)

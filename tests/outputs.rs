@@ -347,7 +347,8 @@ fn write_presses(folder: &Path, background: &RgbImage, press: &RgbImage, centers
 #[test]
 fn presses_that_determine_no_sensor_are_refused() {
     let folder = folder();
-    let calibrate = |to: &str| run(folder.path(), &["calibrate", "--presses", ".", "--write", to]);
+    let presses = ["calibrate", "--presses", ".", "--mm-per-pixel", "0.0295"];
+    let calibrate = |to: &str| run(folder.path(), &[&presses[..], &["--write", to]].concat());
     // One pixel, six times.
     let pixel = RgbImage::from_pixel(1, 1, Rgb([130; 3]));
     write_presses(folder.path(), &pixel, &pixel, &[[0, 0]; 6]);

@@ -6,6 +6,9 @@ use std::sync::Mutex;
 
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
+use smr_gpu::Sensor;
+use smr_gpu::simulator::Error;
+use smr_gpu::simulator::calibrate::{self, Ball};
 use smr_gpu::simulator::camera::{Camera, NormalTable};
 use smr_gpu::simulator::conditions::{Conditions, Forced, TYPICAL_CONTRAST};
 use smr_gpu::simulator::contact::{Contact, NO_BODY, Stop, solve};
@@ -13,6 +16,7 @@ use smr_gpu::simulator::dataset::{Progress, Settings, Step, scene_seed, simulate
 use smr_gpu::simulator::distractors::{Distractor, Part};
 use smr_gpu::simulator::frame::{FIELD_MM, Frame};
 use smr_gpu::simulator::gel::{Elasticity, Grid, Layer};
+use smr_gpu::simulator::given::Given;
 use smr_gpu::simulator::label::{imprints, visible_share};
 use smr_gpu::simulator::lamps::Lamps;
 use smr_gpu::simulator::look::Sideways;
@@ -21,13 +25,14 @@ use smr_gpu::simulator::optics::{
     Fit, NORMAL_TERMS, POSITION_TERMS, Shading, TERMS, measured_sensors, normal_terms,
     position_terms,
 };
-use smr_gpu::simulator::render::{GRID, LEAST_IMPRINT_MM, Renderer, Request, STOP, contact_grid};
+use smr_gpu::simulator::render::{
+    GRID, LEAST_IMPRINT_MM, Label, Rendered, Renderer, Request, STOP, contact_grid,
+};
 use smr_gpu::simulator::scene::{Body, Mix, Placed, Scene};
 use smr_gpu::simulator::shadow::{Ray, cast};
 use smr_gpu::simulator::smooth;
 use smr_gpu::simulator::snaps::{Kind, Snap};
 use smr_gpu::simulator::surface::Surface;
-use smr_gpu::simulator::{Error, calibrate};
 
 const PICTURE_PX: usize = Frame::PAPER.width;
 const MM_PER_PX: f64 = Frame::PAPER.mm_per_pixel;
@@ -399,9 +404,13 @@ fn a_fit_knows_what_its_pixels_determine() {
     assert_eq!(rank(&[], &[], 130.0), 0);
 }
 
+/// What is known of the presses in tests/data.
+const KNOWN: Ball = Ball { radius_mm: 2.0, mm_per_pixel: Some(0.0295) };
+
 #[test]
 fn held_out_presses_are_near_the_real_ones() {
-    let report = calibrate::calibrate(&data("gelsight_ball_presses")).expect("the data is there");
+    let report =
+        calibrate::calibrate(&data("gelsight_ball_presses"), &KNOWN).expect("the data is there");
     assert_eq!(report.presses, 48);
     // The table that comes with the data: 9.71, 24.56 dB, 0.947. The harness is the same.
     assert!((report.background.l1 - 9.71).abs() < 0.01, "{:?}", report.background);
@@ -412,7 +421,8 @@ fn held_out_presses_are_near_the_real_ones() {
     assert!(report.held_out.ssim > report.background.ssim, "{:?}", report.held_out);
 
     // What the simulator uses is what the calibration gives.
-    let mut sensors = vec![report.sensor().expect("better than the background")];
+    let mut sensors =
+        vec![report.optics("gelsight_ball_presses").expect("better than the background")];
     for file in calibrate::sensor_files(&data("gelsight_flatfields")).expect("files") {
         sensors.push(calibrate::read_sensor(&file).expect("a sensor"));
     }
@@ -428,10 +438,153 @@ fn held_out_presses_are_near_the_real_ones() {
     }
 }
 
+/// The same presses without their table, and without their scale: both are found in the pictures.
+#[test]
+fn contacts_and_scale_are_found_in_pictures() {
+    let (source, folder) = (data("gelsight_ball_presses"), tempfile::tempdir().expect("a folder"));
+    // A third of them: time goes with their number.
+    let mut table = std::collections::BTreeMap::new();
+    let text = std::fs::read_to_string(source.join("presses.csv")).expect("the table");
+    for line in text.lines().skip(1).step_by(3) {
+        let fields: Vec<&str> = line.split(',').collect();
+        let numbers: Vec<f64> = fields[1..].iter().map(|v| v.parse().expect("a number")).collect();
+        table.insert(fields[0].to_owned(), numbers);
+    }
+    for file in table.keys().map(String::as_str).chain(["background.png"]) {
+        std::fs::copy(source.join(file), folder.path().join(file)).expect("a copy");
+    }
+    let unknown = Ball { mm_per_pixel: None, ..KNOWN };
+    let report = calibrate::calibrate(folder.path(), &unknown).expect("presses");
+    assert!(report.found && report.presses == table.len(), "{}", report.presses);
+    // The scale is known to be 0.0295; outlines scatter by two pixels of 68.
+    let off = report.mm_per_pixel / 0.0295 - 1.0;
+    assert!(off.abs() <= 0.03, "{:.5} mm a pixel, {:.1} %", report.mm_per_pixel, 100.0 * off);
+    let mut distances: Vec<f64> = report
+        .contacts
+        .iter()
+        .map(|(file, [x, y], _)| {
+            let name = file.file_name().expect("a name").to_string_lossy().into_owned();
+            (x - table[&name][0]).hypot(y - table[&name][1])
+        })
+        .collect();
+    distances.sort_by(f64::total_cmp);
+    // The table's centres are by hand, and some presses are cut by the picture's edge.
+    let (median, worst) = (distances[distances.len() / 2], distances[distances.len() - 1]);
+    assert!(median <= 3.0 && worst <= 7.0, "median {median:.1}, worst {worst:.1} pixels");
+    // Nearly as good as by the table, and far better than nothing.
+    let (nothing, ours) = (report.background.l1, report.held_out.l1);
+    assert!(ours <= 0.55 * nothing, "{ours} of {nothing}");
+
+    // The file that comes of it says the same, and the simulator draws by it.
+    let sensor = report.sensor("bench", folder.path().join("background.png")).expect("a sensor");
+    let text = serde_json::to_string(&sensor).expect("JSON");
+    assert_eq!(Sensor::parse(&text).expect("a sensor"), sensor);
+    assert_eq!((sensor.frame, sensor.light.is_some()), (Some([640, 480]), true));
+    let given = Given::new(sensor).expect("a sensor that can be drawn");
+    let request = Request {
+        sensor: Some(std::sync::Arc::new(given)),
+        forced: "mild".parse().expect("a condition"),
+        ..Request::wide(Mix::A)
+    };
+    let Rendered { picture, frame, labels, .. } =
+        Renderer::new().render(7, &request).expect("a picture");
+    assert_eq!((frame.width, frame.height), (640, 480));
+    // A data set of it can be continued: what was written is read as the same sensor.
+    let out = folder.path().join("set");
+    let settings = |count| Settings { out: out.clone(), count, seed: 1, request: request.clone() };
+    let run = |count| simulate(&settings(count), &|_| ()).expect("a data set");
+    assert_eq!((run(1).rendered, run(2).rendered), (1, 1));
+    assert!((frame.mm_per_pixel - report.mm_per_pixel).abs() < 1e-5);
+    // Far from all snaps it is the untouched gel's picture but for noise; at a snap it is not.
+    let flat = image::open(source.join("background.png")).expect("a picture").into_rgb8();
+    let change = |x: u32, y: u32| {
+        let pairs = picture.get_pixel(x, y).0.into_iter().zip(flat.get_pixel(x, y).0);
+        pairs.map(|(a, b)| f64::from(a.abs_diff(b))).sum::<f64>() / 3.0
+    };
+    let [x0, y0, x1, y1] = labels[0].pixel_box;
+    let (mut inside, mut outside) = (Vec::new(), Vec::new());
+    for (x, y) in (0..480).flat_map(|y| (0..640).map(move |x| (x, y))) {
+        let off = |at: u32, low: f64, high: f64| (low - f64::from(at)).max(f64::from(at) - high);
+        let away = labels.iter().map(|l| {
+            let [a, b, c, d] = l.pixel_box;
+            off(x, a, c).max(off(y, b, d))
+        });
+        let away = away.fold(f64::INFINITY, f64::min);
+        if off(x, x0, x1).max(off(y, y0, y1)) < 0.0 {
+            inside.push(change(x, y));
+        } else if away > 150.0 {
+            outside.push(change(x, y));
+        }
+    }
+    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+    assert!(!outside.is_empty() && mean(&outside) < 4.0, "{}", mean(&outside));
+    assert!(mean(&inside) > 2.0 * mean(&outside), "{} and {}", mean(&inside), mean(&outside));
+}
+
+#[test]
+fn a_ball_that_cannot_be_is_refused_by_name() {
+    let folder = data("gelsight_ball_presses");
+    let refused = |radius_mm: f64, mm_per_pixel: Option<f64>| {
+        let ball = Ball { radius_mm, mm_per_pixel };
+        calibrate::calibrate(&folder, &ball).expect_err("no such ball").to_string()
+    };
+    assert_eq!(refused(0.0, None), "radius_mm: expected 0.2 to 20, got 0");
+    assert_eq!(refused(f64::NAN, None), "radius_mm: expected 0.2 to 20, got NaN");
+    assert_eq!(refused(2.0, Some(-1.0)), "mm_per_pixel: expected 0.0005 to 1, got -1");
+    // A contact of 67 pixels is wider than this ball.
+    let message = refused(1.0, Some(0.0295));
+    assert!(message.contains("expected contact radii below the ball's, 33.9 pixels"), "{message}");
+}
+
+#[test]
+fn a_sensor_that_cannot_be_drawn_is_refused_by_name() {
+    let refused = |text: &str| {
+        let sensor = Sensor::parse(text).expect("a sensor");
+        Given::new(sensor).expect_err("nothing to draw").to_string()
+    };
+    let plain = refused(r#"{ "name": "any" }"#);
+    assert_eq!(plain, "sensor `any`: frame: expected one to draw, got none");
+    let large = refused(r#"{ "name": "big", "frame": [5000, 4000], "mm_per_pixel": 0.01 }"#);
+    assert!(
+        large.contains("expected sides of 32 to 4000 pixels to draw, got 5000 × 4000"),
+        "{large}"
+    );
+    let background = data("gelsight_ball_presses/background.png");
+    let text = serde_json::json!({ "name": "a", "frame": [640, 640], "mm_per_pixel": 0.03,
+        "reference": background });
+    let other = refused(&text.to_string());
+    assert!(other.contains("expected 640 × 640 pixels as the sensor's frames"), "{other}");
+    let text = text.to_string().replace("background", "foreground");
+    assert!(refused(&text).contains("foreground.png"), "{text}");
+}
+
+/// A gel that is a part of the frame: snaps are labelled there alone, and the rest is dark.
+#[test]
+fn the_papers_frames_show_gel_in_the_middle() {
+    let given = Given::new(Sensor::paper()).expect("a sensor");
+    let request = Request {
+        sensor: Some(std::sync::Arc::new(given)),
+        forced: "mild".parse().expect("a condition"),
+        ..Request::wide(Mix::B)
+    };
+    let Rendered { picture, frame, labels, conditions } =
+        Renderer::new().render(3, &request).expect("a picture");
+    assert_eq!((frame.width, frame.height, frame.mm_per_pixel), (1920, 1200, 0.04));
+    assert_eq!(conditions.window, [460.0, 100.0, 1460.0, 1100.0]);
+    for Label { pixel_box: [x0, y0, x1, y1], .. } in labels {
+        assert!(x0 >= 460.0 && y0 >= 100.0 && x1 <= 1460.0 && y1 <= 1100.0);
+    }
+    let brightest = |x: std::ops::Range<u32>| {
+        let column = x.flat_map(|x| (0..1200).map(move |y| (x, y)));
+        column.map(|(x, y)| picture.get_pixel(x, y).0[1]).max().unwrap_or(0)
+    };
+    assert!(brightest(0..440) < 40 && brightest(1480..1920) < 40 && brightest(900..1000) > 60);
+}
+
 #[test]
 fn a_broken_calibration_names_its_file() {
     let folder = tempfile::tempdir().expect("a folder");
-    let error = calibrate::calibrate(folder.path()).expect_err("nothing is there");
+    let error = calibrate::calibrate(folder.path(), &KNOWN).expect_err("nothing is there");
     assert!(error.to_string().contains("background.png"), "{error}");
 
     let source = data("gelsight_ball_presses");
@@ -439,13 +592,13 @@ fn a_broken_calibration_names_its_file() {
         .expect("a copy");
     let csv = "file,center_x_px,center_y_px,contact_radius_px\npress_00.png,1,2\n";
     std::fs::write(folder.path().join("presses.csv"), csv).expect("a file");
-    let error = calibrate::calibrate(folder.path()).expect_err("a field is missing");
+    let error = calibrate::calibrate(folder.path(), &KNOWN).expect_err("a field is missing");
     assert!(matches!(error, Error::Content { .. }), "{error}");
     assert!(error.to_string().contains("press_00.png,1,2"), "{error}");
     // A hole: it takes no space.
     let table = std::fs::File::create(folder.path().join("presses.csv")).expect("a file");
     table.set_len(1 << 25).expect("long");
-    let error = calibrate::calibrate(folder.path()).expect_err("a long table").to_string();
+    let error = calibrate::calibrate(folder.path(), &KNOWN).expect_err("a long table").to_string();
     assert!(
         error.contains("presses.csv: expected at most 16777216 bytes, got 33554432"),
         "{error}"
@@ -457,7 +610,7 @@ fn a_broken_calibration_names_its_file() {
         let made = std::process::Command::new("mkfifo").arg(&picture).status().expect("mkfifo");
         assert!(made.success());
         // Opening it would wait for a writer.
-        let error = calibrate::calibrate(folder.path()).expect_err("a pipe").to_string();
+        let error = calibrate::calibrate(folder.path(), &KNOWN).expect_err("a pipe").to_string();
         assert!(error.contains("background.png: expected a file, got a named pipe"), "{error}");
     }
 

@@ -30,10 +30,9 @@ struct Params {
 @compute @workgroup_size(64)
 fn decode(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let at = linear_index(workgroup, workgroups, local, 64u);
+    let at = linear_index(workgroup, local, 64u);
     let roi = at / (params.classes - 1u);
     let class_index = at % (params.classes - 1u) + 1u;
     if roi >= min(input_count[0], params.rois) {

@@ -53,10 +53,9 @@ fn deviation(v: f32, most: f32) -> f32 {
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let at = linear_index(workgroup, workgroups, local, 64u);
+    let at = linear_index(workgroup, local, 64u);
     if at >= min(count[0], params.capacity) {
         return;
     }

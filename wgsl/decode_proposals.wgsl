@@ -28,10 +28,9 @@ struct Params {
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let i = linear_index(workgroup, workgroups, local, 64u);
+    let i = linear_index(workgroup, local, 64u);
     if i >= min(count[0], params.capacity) {
         return;
     }

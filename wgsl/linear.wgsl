@@ -38,10 +38,9 @@ const LANES: u32 = 64u;
 @compute @workgroup_size(64)
 fn pad(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let at = linear_index(workgroup, workgroups, local, LANES);
+    let at = linear_index(workgroup, local, LANES);
     let row = at / (4u * params.inner_quads);
     let column = at % (4u * params.inner_quads);
     if row >= min(count[0], params.rows) {
@@ -77,11 +76,10 @@ fn step(row: ptr<function, Row>, w0: vec4<f32>, w1: vec4<f32>, w2: vec4<f32>, w3
 @compute @workgroup_size(64)
 fn partial(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
     let rows = min(count[0], params.rows);
-    let first = linear_index(workgroup, workgroups, 0u, 1u) * ROWS;
+    let first = linear_index(workgroup, 0u, 1u) * ROWS;
     let quads = (params.outputs + 3u) / 4u;
     let quad = workgroup.z / params.slices * LANES + local;
     let slice = workgroup.z % params.slices;
@@ -128,10 +126,9 @@ fn partial(
 @compute @workgroup_size(64)
 fn finish(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let at = linear_index(workgroup, workgroups, local, LANES);
+    let at = linear_index(workgroup, local, LANES);
     let quads = (params.outputs + 3u) / 4u;
     let row = at / quads;
     let quad = at % quads;

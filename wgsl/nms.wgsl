@@ -37,11 +37,10 @@ var<workgroup> kept: u32;
 @compute @workgroup_size(64)
 fn mask(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
     let n = min(input_count[0], params.boxes);
-    let at = linear_index(workgroup, workgroups, local, 64u);
+    let at = linear_index(workgroup, local, 64u);
     let i = at / params.words;
     let first = (at % params.words) * 32u;
     if i >= n {

@@ -40,10 +40,9 @@ fn multiply_add(
 @compute @workgroup_size(64)
 fn copy(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let index = linear_index(workgroup, workgroups, local, 64u);
+    let index = linear_index(workgroup, local, 64u);
     if index < params.texels {
         texels_out[index] = texels_in[index];
     }

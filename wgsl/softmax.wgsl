@@ -22,10 +22,9 @@ const WORKGROUP: u32 = 64u;
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let row = linear_index(workgroup, workgroups, 0u, 1u);
+    let row = linear_index(workgroup, 0u, 1u);
     // Workgroups behind the count go through all barriers, but write nothing.
     let columns = select(0u, params.columns, row < min(count[0], params.rows));
     let first = min(row, params.rows - 1u) * params.columns;

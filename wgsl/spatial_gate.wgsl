@@ -28,11 +28,10 @@ fn value(row: u32, x: u32) -> f32 {
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
     let spans = (params.width + 7u) / 8u;
-    let index = linear_index(workgroup, workgroups, local, 64u);
+    let index = linear_index(workgroup, local, 64u);
     if index >= params.height * spans {
         return;
     }

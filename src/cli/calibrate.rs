@@ -1,38 +1,55 @@
-//! `smr-gpu calibrate`: the simulated sensor's optics against real presses of a ball.
+//! `smr-gpu calibrate`: a sensor file from real presses of a ball.
 
 use std::io::Cursor;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use image::ImageFormat;
 use smr_gpu::files::Outputs;
 use smr_gpu::simulator::Error;
 use smr_gpu::simulator::calibrate::{
-    self, CROP_PX, DIFFERENCE_GAIN, Distance, FOLDS, read_sensor, sensor_files,
+    self, Ball, DIFFERENCE_GAIN, Distance, FOLDS, Report, read_sensor, sensor_files,
 };
 
 use super::exit::{Exit, Failure};
 use super::output::{count, line, tell};
 
-/// Compare the simulated sensor with real presses of a ball
+/// Fit a sensor to pictures of a ball pressed into it
 ///
-/// Fits the optics to some presses and measures the distance to the others, round about, in crops
-/// about each contact: mean absolute difference in 8-bit levels, PSNR and SSIM.
+/// DIR holds background.png, the untouched gel, and six or more pictures of presses of a ball of known
+/// radius. presses.csv (file,center_x_px,center_y_px,contact_radius_px) may say where the contacts are;
+/// without it they are found in the pictures. The scale is that of the ball's outline, which shows
+/// where it is pressed in about as deep as its radius, or what --mm-per-pixel says. The light is fitted
+/// to some presses and held to the others, round about, in crops about each contact: mean absolute
+/// difference in 8-bit levels, PSNR and SSIM. --write makes a file of it for --sensor.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Folder with background.png, the presses and presses.csv.
+    /// Folder with background.png and the presses.
     #[arg(long, value_name = "DIR")]
     presses: PathBuf,
+
+    /// Radius of the ball.
+    #[arg(long, value_name = "MM", default_value_t = 2.0, allow_negative_numbers = true)]
+    radius: f64,
+
+    /// Millimetres of gel that a pixel shows [default: by the ball's outline].
+    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    mm_per_pixel: Option<f64>,
+
+    /// Write the fitted sensor: detect, eval and simulate take it as --sensor. It is called as the file
+    /// is, and names background.png as its frame without contact.
+    #[arg(long, value_name = "JSON")]
+    write: Option<PathBuf>,
 
     /// Save a real press, the simulated press and their difference side by side.
     #[arg(long, value_name = "PNG")]
     save: Option<PathBuf>,
 
-    /// Write the fitted sensor, in the form of the simulator's own src/simulator/calibration.json.
+    /// Write the fitted light in the form of the simulator's own src/simulator/calibration.json.
     #[arg(long, value_name = "JSON")]
-    write: Option<PathBuf>,
+    optics: Option<PathBuf>,
 
-    /// Folder with GelSight's calibration files (*.yaml) of more sensors for --write.
-    #[arg(long, value_name = "DIR", requires = "write")]
+    /// Folder with GelSight's calibration files (*.yaml) of more sensors for --optics.
+    #[arg(long, value_name = "DIR", requires = "optics")]
     flatfields: Option<PathBuf>,
 }
 
@@ -41,12 +58,19 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         Some(folder) => sensor_files(folder).map_err(unreadable)?,
         None => Vec::new(),
     };
-    let report = calibrate::calibrate(&args.presses).map_err(unreadable)?;
+    let ball = Ball { radius_mm: args.radius, mm_per_pixel: args.mm_per_pixel };
+    let report = calibrate::calibrate(&args.presses, &ball).map_err(unreadable)?;
     let mut outputs = Outputs::sparing(report.files.iter().chain(&sensors));
-    for file in args.save.iter().chain(&args.write) {
+    for file in args.save.iter().chain(&args.write).chain(&args.optics) {
         outputs.check(file)?;
     }
-    line(format!("{} presses, {CROP_PX}×{CROP_PX} crops, {FOLDS}-fold held out", report.presses))?;
+    let side = report.crop_px;
+    let contacts = if report.found { "found" } else { "from the table" };
+    line(format!(
+        "{} presses, contacts {contacts}, {side}×{side} crops, {FOLDS}-fold held out",
+        report.presses
+    ))?;
+    line(scale(&report))?;
     line("")?;
     line("| renderer | L1 | PSNR, dB | SSIM |")?;
     line("|---|---|---|---|")?;
@@ -68,7 +92,16 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         ));
     }
     if let Some(path) = &args.write {
-        let mut fitted = vec![report.sensor().map_err(unreadable)?];
+        let name = path.file_stem().unwrap_or_default().to_string_lossy();
+        let reference = from_beside(path, &args.presses.join("background.png"));
+        let sensor = report.sensor(&name, reference).map_err(unreadable)?;
+        let text = serde_json::to_string_pretty(&sensor)
+            .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", path.display())))?;
+        outputs.write(path, text.as_bytes())?;
+        tell(format!("{}: for --sensor", path.display()));
+    }
+    if let Some(path) = &args.optics {
+        let mut fitted = vec![report.optics("gelsight_ball_presses").map_err(unreadable)?];
         for file in &sensors {
             fitted.push(read_sensor(file).map_err(unreadable)?);
         }
@@ -82,4 +115,28 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
 
 fn unreadable(error: Error) -> Failure {
     Failure::new(Exit::Inputs, error)
+}
+
+/// How large a pixel is, and whence that is known.
+fn scale(report: &Report) -> String {
+    let scale = report.mm_per_pixel;
+    match report.outline_px {
+        None => format!("{scale} mm a pixel, as said"),
+        Some([mean, deviation]) => format!(
+            "{scale:.5} mm a pixel by the ball's outline, {mean:.1} ± {deviation:.1} pixels; too large if \
+             most presses are less deep than the ball's radius"
+        ),
+    }
+}
+
+/// A file's name for a file that may lie elsewhere: relative to the other's folder if it is below it.
+fn from_beside(other: &Path, file: &Path) -> PathBuf {
+    let folder = match other.parent() {
+        Some(parent) if parent != Path::new("") => parent,
+        _ => Path::new("."),
+    };
+    let (Ok(folder), Ok(file)) = (folder.canonicalize(), file.canonicalize()) else {
+        return file.to_path_buf();
+    };
+    file.strip_prefix(folder).map(Path::to_path_buf).unwrap_or(file)
 }

@@ -85,7 +85,7 @@ fn seconds(text: &str) -> Result<Duration, String> {
 ///
 /// # Errors
 /// In words.
-fn sensor(text: &str) -> Result<Sensor, String> {
+pub(super) fn sensor(text: &str) -> Result<Sensor, String> {
     let path = Path::new(text);
     match Sensor::named(text) {
         Some(sensor) => Ok(sensor),

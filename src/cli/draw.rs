@@ -5,6 +5,7 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use ab_glyph::FontRef;
+use glam::Vec2;
 use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
 use imageproc::drawing::{draw_filled_rect_mut, draw_polygon_mut, draw_text_mut, text_size};
 use imageproc::point::Point;
@@ -116,11 +117,9 @@ fn frame(canvas: &mut RgbImage, [x1, y1, x2, y2]: [i32; 4], thick: i32, colour: 
 /// Draws an arrow through the middle of a box, in the direction in which the barb points.
 fn arrow(canvas: &mut RgbImage, bbox: [f32; 4], yaw_deg: f32, line: i32, colour: Rgb<u8>) {
     let [x1, y1, x2, y2] = bbox;
-    let (middle, length) = ([(x1 + x2) / 2.0, (y1 + y2) / 2.0], (x2 - x1).hypot(y2 - y1) / 4.0);
-    let (s, c) = yaw_deg.to_radians().sin_cos();
-    let at = |along: f32, aside: f32| {
-        [middle[0] + along * c - aside * s, middle[1] + along * s + aside * c]
-    };
+    let (middle, length) = (Vec2::new(x1 + x2, y1 + y2) / 2.0, (x2 - x1).hypot(y2 - y1) / 4.0);
+    let barb = Vec2::from_angle(yaw_deg.to_radians());
+    let at = |along: f32, aside: f32| (middle + barb * along + barb.perp() * aside).to_array();
     let (thick, head) = (line as f32, (length / 3.0).max(3.0 * line as f32));
     for (rim, ink) in [(thick / 2.0, BLACK), (0.0, colour)] {
         let half = thick / 2.0 + rim;

@@ -1,17 +1,21 @@
 //! `smr-gpu simulate`: data sets of simulated pictures.
 
 use std::path::PathBuf;
-use std::sync::Once;
+use std::sync::{Arc, Once};
 
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
+use smr_gpu::Sensor;
 use smr_gpu::simulator::Error;
 use smr_gpu::simulator::conditions::{Distribution, Forced};
 use smr_gpu::simulator::dataset::{self, Progress, Settings, Step};
 use smr_gpu::simulator::distractors::Part;
+use smr_gpu::simulator::frame::Frame;
+use smr_gpu::simulator::given::Given;
 use smr_gpu::simulator::render::Request;
 use smr_gpu::simulator::scene::Mix;
 
+use super::detector::sensor;
 use super::exit::{Exit, Failure};
 use super::output::{self, tell};
 
@@ -42,6 +46,13 @@ pub(super) struct Args {
     /// From what frames, light, wear and parts are drawn.
     #[arg(long, value_enum, default_value_t = Conditions::Plain)]
     conditions: Conditions,
+
+    /// Draw the pictures that one sensor takes: `paper`, `gelsight-mini` or a sensor file (JSON), as
+    /// `smr-gpu calibrate` writes. Frame, gel, scale, distortion and, if the file has them, light, markers
+    /// and the untouched gel's picture are the sensor's. Plain conditions leave all else as on the
+    /// paper's sensor.
+    #[arg(long, value_name = "NAME|FILE", value_parser = sensor)]
+    sensor: Option<Sensor>,
 
     /// Narrow what is no snap to one kind (wide conditions).
     #[arg(long, value_enum)]
@@ -143,16 +154,24 @@ impl From<Kind> for Mix {
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    let Args { out, count, seed, kind, conditions, part, force } = args;
-    if conditions == Conditions::Plain && (part.is_some() || force != Forced::default()) {
-        return Err(Failure::usage("--part and --force need --conditions wide"));
+    let Args { out, count, seed, kind, conditions, sensor, part, mut force } = args;
+    let plain = conditions == Conditions::Plain;
+    if plain && sensor.is_none() && (part.is_some() || force != Forced::default()) {
+        return Err(Failure::usage("--part and --force need --conditions wide or --sensor"));
     }
-    let conditions = match conditions {
-        Conditions::Plain => Distribution::Plain,
-        Conditions::Wide => Distribution::Wide,
+    if sensor.is_some() && force.frame.or(force.scale.map(|_| Frame::PAPER)).is_some() {
+        return Err(Failure::usage("--force: expected no frame or scale beside --sensor, got one"));
+    }
+    let sensor = sensor.map(Given::new).transpose();
+    let sensor = sensor.map_err(|e| Failure::new(Exit::Inputs, e))?.map(Arc::new);
+    // A given sensor is drawn as a wide one of which little is left to chance.
+    force.mild |= plain && sensor.is_some();
+    let conditions = match plain && sensor.is_none() {
+        true => Distribution::Plain,
+        false => Distribution::Wide,
     };
-    let request =
-        Request { mix: kind.into(), conditions, part: part.map(Part::from), forced: force };
+    let (mix, part) = (kind.into(), part.map(Part::from));
+    let request = Request { mix, conditions, part, forced: force, sensor };
     let settings = Settings { out, count: count as usize, seed, request };
     let bar = ProgressBar::new(count.into());
     let style = ProgressStyle::with_template("{msg} {bar:40} {pos}/{len} pictures, {eta} left");

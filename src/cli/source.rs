@@ -3,12 +3,11 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use smr_gpu::picture::{ENDINGS, has_ending};
+
 use super::exit::{Exit, Failure};
 use super::output::tell;
 use super::printable::printable;
-
-/// Endings of the picture files that are taken from a folder.
-const ENDINGS: [&str; 6] = ["png", "jpg", "jpeg", "bmp", "tif", "tiff"];
 
 /// One picture to read.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -99,10 +98,7 @@ fn folder(path: &Path) -> Vec<Result<Source, String>> {
         }
     }
     // Reading tells what is wrong with one that is no file.
-    files.retain(|file| {
-        let ending = file.extension().map(|e| e.to_string_lossy().to_lowercase());
-        ending.is_some_and(|e| ENDINGS.contains(&e.as_str())) && !file.is_dir()
-    });
+    files.retain(|file| has_ending(file) && !file.is_dir());
     if files.is_empty() && failures.is_empty() {
         let endings = ENDINGS.join(", ");
         return vec![Err(format!(

@@ -347,7 +347,7 @@ pub(super) mod tests {
         // 0.5 / √n, so 95 % lie within 1.96 of these, up to the steps of 1/n and the draws' own scatter.
         let n = 100;
         let picture = |i: usize| {
-            let hit = if i % 2 == 0 { vec![found(0, 0.0, 0.9)] } else { vec![] };
+            let hit = if i.is_multiple_of(2) { vec![found(0, 0.0, 0.9)] } else { vec![] };
             seen(vec![snap(0, 0.0, &[])], hit)
         };
         let pictures: Vec<Seen> = (0..n).map(picture).collect();

@@ -9,7 +9,7 @@ use crate::error::{Error, Result};
 use crate::gpu::faults::{Call, Fault, Faults};
 use crate::gpu::native::{self, Clock, Loss, Poller};
 use crate::gpu::program::Resource;
-use crate::kernels::{Caps, Command, Dispatch, Recording, Storage};
+use crate::kernels::{Caps, Command, Dispatch, MAX_WORKGROUPS, Recording, Storage};
 use crate::shader::{self, BindingKind, Variant};
 
 /// Which adapter to open.
@@ -82,8 +82,11 @@ const LAST_WAIT: Duration = Duration::from_secs(10);
 /// The same on the host's own cores, whose work always ends: the process crashes if it ends first.
 const LAST_SOFTWARE_WAIT: Duration = Duration::from_secs(120);
 
-/// Bytes of weights that may wait to be uploaded.
-const UPLOAD_BYTES: u64 = 16 << 20;
+/// Bytes of weights that may wait to be uploaded, and that are passed on at a time.
+const UPLOAD_BYTES: usize = 8 << 20;
+
+/// What a binding of a shader that runs no workgroups holds: as much as its types have at least.
+const WARM_BYTES: u64 = 16 << 10;
 
 /// Shader, how it is read, and entry point.
 type PipelineKey = (&'static str, Variant, &'static str);
@@ -95,6 +98,8 @@ pub(super) struct Pipeline {
     pub pipeline: wgpu::ComputePipeline,
     pub layout: wgpu::BindGroupLayout,
     pub bindings: Vec<(String, u32, BindingKind)>,
+    /// Whether it reads how many workgroups there are.
+    pub reads_grid: bool,
 }
 
 /// An open device with its compiled pipelines. Cheap to share behind an [`Arc`].
@@ -106,8 +111,10 @@ pub struct Gpu {
     caps: Caps,
     options: GpuOptions,
     loss: Loss,
+    /// Whether the device is the caller's, whose handlers hear of its loss and its errors.
+    foreign: bool,
     /// Bytes that wait to be uploaded.
-    uploads: Mutex<u64>,
+    uploads: Mutex<usize>,
     pub(super) poller: Poller,
     pub(super) clock: Clock,
     /// Another text for one shader file; such a device compiles with bounds checks.
@@ -122,21 +129,70 @@ struct Module {
     reflection: shader::Reflection,
 }
 
-/// The limits that every shader keeps to: WebGPU's defaults for compute shaders. Of textures no more
-/// is asked than there is: kernels look at what they get.
+/// What the kernels use, and no more. Of the size of textures and buffers no more is asked than there is:
+/// kernels look at what they get.
 fn required_limits(adapter: &wgpu::Limits) -> wgpu::Limits {
-    let most = wgpu::Limits::default();
+    let usual = wgpu::Limits::default();
     wgpu::Limits {
-        max_texture_dimension_1d: most
-            .max_texture_dimension_1d
-            .min(adapter.max_texture_dimension_1d),
-        max_texture_dimension_2d: most
+        max_texture_dimension_2d: usual
             .max_texture_dimension_2d
             .min(adapter.max_texture_dimension_2d),
-        max_texture_dimension_3d: most
-            .max_texture_dimension_3d
-            .min(adapter.max_texture_dimension_3d),
-        ..most
+        max_storage_buffers_per_shader_stage: STORAGE_BUFFERS,
+        max_storage_textures_per_shader_stage: STORAGE_TEXTURES,
+        max_uniform_buffers_per_shader_stage: 1,
+        max_storage_buffer_binding_size: usual
+            .max_storage_buffer_binding_size
+            .min(adapter.max_storage_buffer_binding_size),
+        max_buffer_size: usual.max_buffer_size.min(adapter.max_buffer_size),
+        max_compute_workgroup_storage_size: WORKGROUP_BYTES,
+        max_compute_invocations_per_workgroup: INVOCATIONS,
+        max_compute_workgroup_size_x: INVOCATIONS,
+        max_compute_workgroup_size_y: ROWS,
+        max_compute_workgroup_size_z: 1,
+        max_compute_workgroups_per_dimension: MAX_WORKGROUPS,
+        ..least_limits()
+    }
+}
+
+/// Storage buffers that an entry point binds at most.
+const STORAGE_BUFFERS: u32 = 8;
+/// Storage textures that an entry point binds at most.
+const STORAGE_TEXTURES: u32 = 2;
+/// Bytes of workgroup memory that an entry point uses at most.
+const WORKGROUP_BYTES: u32 = 16 << 10;
+/// Invocations of the largest workgroups, which lie in x.
+const INVOCATIONS: u32 = 256;
+/// Invocations of a workgroup in y.
+const ROWS: u32 = 8;
+
+/// The least limits that wgpu has a name for, of which nothing but textures of two dimensions is used.
+fn least_limits() -> wgpu::Limits {
+    wgpu::Limits {
+        max_texture_dimension_1d: 0,
+        max_texture_dimension_3d: 0,
+        max_texture_array_layers: 1,
+        max_bind_groups: 1,
+        max_bindings_per_bind_group: 16,
+        max_dynamic_uniform_buffers_per_pipeline_layout: 0,
+        max_sampled_textures_per_shader_stage: 0,
+        max_samplers_per_shader_stage: 0,
+        max_vertex_buffers: 0,
+        max_vertex_attributes: 0,
+        max_vertex_buffer_array_stride: 0,
+        max_inter_stage_shader_variables: 0,
+        max_color_attachments: 0,
+        max_color_attachment_bytes_per_sample: 0,
+        ..wgpu::Limits::downlevel_webgl2_defaults()
+    }
+}
+
+/// A side of a texture that is no power of two and holds `texels`: lavapipe (Mesa 22.3) compiles a shader
+/// for textures whose sides are, and once more for others.
+fn uneven(texels: u32) -> u32 {
+    match texels {
+        0 => 0,
+        1 | 2 => 3,
+        more => more + u32::from(more.is_power_of_two()),
     }
 }
 
@@ -146,7 +202,8 @@ fn caps(info: &wgpu::AdapterInfo, features: wgpu::Features, limits: &wgpu::Limit
     let one_size = sizes.0 == sizes.1 && features.contains(wgpu::Features::SUBGROUP);
     Caps {
         subgroup: Some(sizes.0).filter(|_| one_size),
-        texture_side: limits.max_texture_dimension_2d,
+        // `uneven` may add one.
+        texture_side: limits.max_texture_dimension_2d.saturating_sub(1),
         buffer_bytes: limits.max_storage_buffer_binding_size,
     }
 }
@@ -159,6 +216,9 @@ fn wanted_features() -> wgpu::Features {
 fn instance() -> wgpu::Instance {
     let mut desc = wgpu::InstanceDescriptor::new_without_display_handle();
     desc.backends = wgpu::Backends::PRIMARY;
+    // `indirect_grid` keeps to the limits, and nothing that is dispatched so reads how many workgroups
+    // there are (`Program` refuses it): wgpu need not look at every grid once more on the device.
+    desc.flags.remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
     wgpu::Instance::new(desc)
 }
 
@@ -210,7 +270,7 @@ pub async fn adapters() -> Vec<AdapterReport> {
 }
 
 impl Gpu {
-    /// Opens the device that `options` ask for, with exactly WebGPU's default limits.
+    /// Opens the device that `options` ask for, with the limits that the kernels need and no more.
     ///
     /// # Errors
     /// [`Error::NoAdapter`] if none matches, or with [`AdapterChoice::Auto`] none gives the limits;
@@ -269,42 +329,78 @@ impl Gpu {
                 faults.stray(e.to_string());
             }
         }));
-        let poller = Poller::new(&device, &loss);
-        Ok(Arc::new(Self {
+        Ok(Self::with(device, queue, options, loss, false, None))
+    }
+
+    /// Takes a device that a program has already, for runs of at most `timeout`. Its handlers stay what
+    /// they are: they hear of its loss and of the program's own errors, and this crate's errors come
+    /// back from its calls. A device that is lost is not replaced. Work that is under way when this is
+    /// dropped is the program's to wait for, before its process ends on a software adapter.
+    ///
+    /// Whoever polls the device runs this crate's callbacks, and the other way round.
+    ///
+    /// # Errors
+    /// [`Error::Device`] with the limits, as `limit: required N, actual M`, that the device was not
+    /// opened with: [`wgpu::Limits::default`] has them all.
+    ///
+    /// ```
+    /// use smr_gpu::gpu::{Gpu, wgpu};
+    /// use smr_gpu::{Config, GpuDetector};
+    /// use std::time::Duration;
+    ///
+    /// async fn detector(device: wgpu::Device, queue: wgpu::Queue) -> smr_gpu::Result<GpuDetector> {
+    ///     let gpu = Gpu::from_device(device, queue, Duration::from_secs(10))?;
+    ///     GpuDetector::on_device(gpu, Config::new("weights/smrnet.safetensors")).await
+    /// }
+    /// ```
+    pub fn from_device(
+        device: wgpu::Device,
+        queue: wgpu::Queue,
+        timeout: Duration,
+    ) -> Result<Arc<Self>> {
+        let missing = lacks(&device.limits());
+        if !missing.is_empty() {
+            let adapter = device.adapter_info().name;
+            return Err(Error::Device { adapter, message: missing.join("; ") });
+        }
+        let options = GpuOptions { timeout, ..GpuOptions::default() };
+        Ok(Self::with(device, queue, options, Loss::default(), true, None))
+    }
+
+    fn with(
+        device: wgpu::Device,
+        queue: wgpu::Queue,
+        options: GpuOptions,
+        loss: Loss,
+        foreign: bool,
+        replacement: Option<shader::Replacement>,
+    ) -> Arc<Self> {
+        let info = device.adapter_info();
+        Arc::new(Self {
+            poller: Poller::new(&device, &loss),
             caps: caps(&info, device.features(), &device.limits()),
             device,
             queue,
             info,
             options,
             loss,
+            foreign,
             uploads: Mutex::default(),
-            poller,
             clock: Clock::default(),
-            replacement: None,
+            replacement,
             modules: Mutex::default(),
             pipelines: Mutex::default(),
-        }))
+        })
     }
 
     /// The same device with another text for one shader file: for tests that ask what a fault in a
     /// shader would change, and for trying out a shader. Nothing vouches for that text, so this
     /// device compiles every shader with bounds checks, whatever its options say.
     pub fn with_replacement(&self, replacement: shader::Replacement) -> Arc<Self> {
-        let poller = Poller::new(&self.device, &self.loss);
-        Arc::new(Self {
-            device: self.device.clone(),
-            queue: self.queue.clone(),
-            info: self.info.clone(),
-            caps: self.caps.clone(),
-            options: GpuOptions { checked: true, ..self.options.clone() },
-            loss: self.loss.clone(),
-            uploads: Mutex::default(),
-            poller,
-            clock: Clock::default(),
-            replacement: Some(replacement),
-            modules: Mutex::default(),
-            pipelines: Mutex::default(),
-        })
+        let options = GpuOptions { checked: true, ..self.options.clone() };
+        let (device, queue) = (self.device.clone(), self.queue.clone());
+        let loss = self.loss.clone();
+        Self::with(device, queue, options, loss, self.foreign, Some(replacement))
     }
 
     /// The adapter's name, backend and driver.
@@ -348,9 +444,7 @@ impl Gpu {
         self.loss.get().map_or(Ok(()), |message| Err(Error::DeviceLost(message)))
     }
 
-    /// Asks whether the device still is. It reports its loss when all work is done that it had, and
-    /// until then takes every call and does nothing: so this makes a buffer and looks whether there is
-    /// one.
+    /// Asks whether the device still is.
     ///
     /// # Errors
     /// [`Error::DeviceLost`] if it is gone.
@@ -358,30 +452,19 @@ impl Gpu {
         // It has the driver's own words, if there are any.
         let _ = native::poll(&self.device, wgpu::PollType::Poll, &self.loss);
         self.check_lost()?;
-        let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
-        let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
-        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
-            label: None,
-            size: 4,
-            usage: wgpu::BufferUsages::MAP_WRITE | wgpu::BufferUsages::COPY_SRC,
-            mapped_at_creation: true,
-        });
-        let is_there = buffer.slice(..).get_mapped_range().is_ok();
-        let is_full = pollster::block_on({
-            drop(validation.pop());
-            memory.pop()
-        });
-        if !is_there && is_full.is_none() {
-            self.loss.tell("it takes no more calls".into());
-        }
+        native::look(&self.device, &self.loss);
         self.check_lost()
     }
 
     /// Does `work`, whose errors are told elsewhere.
     pub(super) fn unheard(&self, work: impl FnOnce()) {
+        let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let internal = self.device.push_error_scope(wgpu::ErrorFilter::Internal);
         let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
         work();
         drop(validation.pop());
+        drop(internal.pop());
+        drop(memory.pop());
     }
 
     /// Runs `work` and returns what the driver objected to, under the name `stage`.
@@ -450,44 +533,79 @@ impl Gpu {
                     mapped_at_creation: false,
                 }))
             }
-            Storage::Texture { mut width, height } => {
+            Storage::Texture { width, height } => {
+                let (mut width, height) = (uneven(width), uneven(height));
                 if self.fault(Call::Texture) == Some(Fault::Invalid) {
                     width = 0;
                 }
-                let texture = self.device.create_texture(&wgpu::TextureDescriptor {
-                    label: None,
-                    size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
-                    mip_level_count: 1,
-                    sample_count: 1,
-                    dimension: wgpu::TextureDimension::D2,
-                    format: wgpu::TextureFormat::Rgba32Float,
-                    usage: wgpu::TextureUsages::STORAGE_BINDING | wgpu::TextureUsages::COPY_DST,
-                    view_formats: &[],
-                });
+                let texture = self.create_texture(width, height);
                 let view = texture.create_view(&Default::default());
                 Resource::Texture(texture, view)
             }
         }
     }
 
+    fn create_texture(&self, width: u32, height: u32) -> wgpu::Texture {
+        self.device.create_texture(&wgpu::TextureDescriptor {
+            label: None,
+            size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: wgpu::TextureFormat::Rgba32Float,
+            usage: wgpu::TextureUsages::STORAGE_BINDING | wgpu::TextureUsages::COPY_DST,
+            view_formats: &[],
+        })
+    }
+
     /// Fills a texture of rgba32float.
     pub(super) fn write_texture(&self, texture: &wgpu::Texture, bytes: &[u8]) {
+        self.write_rows(texture, texture.width(), 0, bytes);
+    }
+
+    /// Writes rows of `width` texels to a texture of rgba32float, from row `first` on.
+    fn write_rows(&self, texture: &wgpu::Texture, width: u32, first: u32, bytes: &[u8]) {
+        let row = width * 16;
+        let height = (bytes.len() / row.max(1) as usize) as u32;
         let refused = self.fault(Call::Write) == Some(Fault::Invalid);
         let bytes = if refused { &[] } else { bytes };
         let layout = wgpu::TexelCopyBufferLayout {
             offset: 0,
-            bytes_per_row: Some(texture.width() * 16),
-            rows_per_image: Some(texture.height()),
+            bytes_per_row: Some(row),
+            rows_per_image: Some(height),
         };
-        self.queue.write_texture(texture.as_image_copy(), bytes, layout, texture.size());
+        let to = wgpu::TexelCopyTextureInfo {
+            origin: wgpu::Origin3d { x: 0, y: first, z: 0 },
+            ..texture.as_image_copy()
+        };
+        let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
+        self.queue.write_texture(to, bytes, layout, size);
     }
 
-    /// Counts `bytes` that wait to be uploaded, and passes them on before they are many: until then
-    /// they take as much memory again.
-    pub(super) fn pass_uploads_on(&self, bytes: u64) {
+    /// Writes a constant to the front of a buffer, a part at a time: what waits to be uploaded takes as
+    /// much memory again.
+    pub(super) fn upload(&self, buffer: &wgpu::Buffer, bytes: &[u8]) {
+        for (index, part) in bytes.chunks(UPLOAD_BYTES).enumerate() {
+            self.write(buffer, (index * UPLOAD_BYTES) as u64, part);
+            self.pass_uploads_on(part.len());
+        }
+    }
+
+    /// The same for rows of `width` texels of a texture of rgba32float, some rows at a time.
+    pub(super) fn upload_texture(&self, texture: &wgpu::Texture, width: u32, bytes: &[u8]) {
+        let row = (width as usize * 16).max(1);
+        let rows = (UPLOAD_BYTES / row).max(1);
+        for (index, part) in bytes.chunks(rows * row).enumerate() {
+            self.write_rows(texture, width, (index * rows) as u32, part);
+            self.pass_uploads_on(part.len());
+        }
+    }
+
+    /// Counts `bytes` that wait to be uploaded, and passes them on before they are many.
+    fn pass_uploads_on(&self, bytes: usize) {
         let mut waiting = self.uploads.lock().unwrap_or_else(PoisonError::into_inner);
         *waiting += bytes;
-        if *waiting > UPLOAD_BYTES {
+        if *waiting >= UPLOAD_BYTES {
             *waiting = 0;
             let submission = self.submit(None);
             let wait = wgpu::PollType::Wait {
@@ -546,7 +664,10 @@ impl Gpu {
         let next = AtomicUsize::new(0);
         let compile = || -> Result<()> {
             while let Some((_, dispatch)) = wanted.get(next.fetch_add(1, Ordering::Relaxed)) {
-                self.pipeline(dispatch)?;
+                let pipeline = self.pipeline(dispatch)?;
+                if self.info.device_type == wgpu::DeviceType::Cpu {
+                    self.warm(&pipeline, &dispatch.params);
+                }
             }
             Ok(())
         };
@@ -585,6 +706,57 @@ impl Gpu {
         })?;
         let mut pipelines = self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
         Ok(pipelines.entry(key).or_insert(Arc::new(pipeline)).clone())
+    }
+
+    /// Runs no workgroups of a pipeline: lavapipe makes machine code at the first dispatch, one pipeline
+    /// after the other, and so it does while weights are read. What goes wrong is told by the first run.
+    fn warm(&self, pipeline: &Pipeline, params: &[u8]) {
+        let buffer = |usage| {
+            self.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("warm"),
+                size: WARM_BYTES.max(params.len() as u64).next_multiple_of(4),
+                usage: usage | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            })
+        };
+        self.unheard(|| {
+            let texture = self.create_texture(uneven(1), uneven(1));
+            let view = texture.create_view(&Default::default());
+            let uniform = buffer(wgpu::BufferUsages::UNIFORM);
+            self.queue.write_buffer(&uniform, 0, params);
+            let bindings = pipeline.bindings.iter();
+            let buffers: Vec<_> = bindings.map(|_| buffer(wgpu::BufferUsages::STORAGE)).collect();
+            let entry = |((_, binding, kind), buffer): (&(String, u32, BindingKind), _)| {
+                let buffer: &wgpu::Buffer = buffer;
+                wgpu::BindGroupEntry {
+                    binding: *binding,
+                    resource: match kind {
+                        BindingKind::Texture => wgpu::BindingResource::TextureView(&view),
+                        BindingKind::Uniform => uniform.as_entire_binding(),
+                        BindingKind::Read | BindingKind::ReadWrite => buffer.as_entire_binding(),
+                    },
+                }
+            };
+            let entries: Vec<_> = pipeline.bindings.iter().zip(&buffers).map(entry).collect();
+            let group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some("warm"),
+                layout: &pipeline.layout,
+                entries: &entries,
+            });
+            let mut encoder = self.device.create_command_encoder(&Default::default());
+            let mut pass = encoder.begin_compute_pass(&Default::default());
+            pass.set_pipeline(&pipeline.pipeline);
+            pass.set_bind_group(0, &group, &[]);
+            pass.dispatch_workgroups(0, 0, 0);
+            drop(pass);
+            let submission = self.queue.submit([encoder.finish()]);
+            // One at a time: weights are uploaded between them.
+            let wait = wgpu::PollType::Wait {
+                submission_index: Some(submission),
+                timeout: Some(self.options.timeout),
+            };
+            let _ = native::poll(&self.device, wait, &self.loss);
+        });
     }
 
     fn build_pipeline(&self, dispatch: &Dispatch, label: &str) -> Result<Pipeline> {
@@ -647,7 +819,8 @@ impl Gpu {
             cache: None,
         });
         let bindings = entry.bindings.clone();
-        Ok(Pipeline { label: label.to_owned(), pipeline, layout, bindings })
+        let reads_grid = entry.reads_grid;
+        Ok(Pipeline { label: label.to_owned(), pipeline, layout, bindings, reads_grid })
     }
 }
 
@@ -655,6 +828,9 @@ impl Drop for Gpu {
     /// A process that exits while a software driver still works can crash: wait for it, but not for
     /// ever.
     fn drop(&mut self) {
+        if self.foreign {
+            return;
+        }
         let wait = match self.info.device_type {
             wgpu::DeviceType::Cpu => LAST_SOFTWARE_WAIT,
             _ => LAST_WAIT,
@@ -665,5 +841,64 @@ impl Drop for Gpu {
             // To drop the queue would wait without a limit: a device that hangs keeps its own.
             std::mem::forget((self.device.clone(), self.queue.clone()));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernels;
+
+    #[test]
+    fn what_is_asked_is_enough_for_every_shader() {
+        let sizes = [None, Some(4), Some(8), Some(16), Some(32), Some(64)];
+        let mut most = [0; 7];
+        for (shader, variant) in sizes
+            .into_iter()
+            .flat_map(|subgroup| kernels::shaders(&Caps { subgroup, ..Caps::default() }))
+        {
+            let reflection = shader::reflect(shader, &variant).expect("a shader");
+            for entry in reflection.entries {
+                let count = |kinds: &[BindingKind]| {
+                    entry.bindings.iter().filter(|b| kinds.contains(&b.2)).count() as u32
+                };
+                let [x, y, z] = entry.workgroup_size;
+                let used = [
+                    count(&[BindingKind::Read, BindingKind::ReadWrite]),
+                    count(&[BindingKind::Texture]),
+                    entry.workgroup_bytes,
+                    x * y * z,
+                    y,
+                    z,
+                    count(&[BindingKind::Uniform]),
+                ];
+                most.iter_mut().zip(used).for_each(|(most, used)| *most = used.max(*most));
+            }
+        }
+        let asked = [STORAGE_BUFFERS, STORAGE_TEXTURES, WORKGROUP_BYTES, INVOCATIONS, ROWS, 1, 1];
+        let enough = most.iter().zip(asked).all(|(used, asked)| *used <= asked);
+        assert!(enough, "used {most:?}, asked {asked:?}");
+    }
+
+    /// A Raspberry Pi 4's, of what its Vulkan driver says: of textures, attachments and inputs it has
+    /// less than WebGPU's defaults.
+    #[test]
+    fn an_adapter_with_small_textures_lacks_nothing() {
+        let small = wgpu::Limits {
+            max_texture_dimension_1d: 4096,
+            max_texture_dimension_2d: 4096,
+            max_texture_dimension_3d: 2048,
+            max_color_attachments: 4,
+            max_inter_stage_shader_variables: 15,
+            max_storage_textures_per_shader_stage: 4,
+            ..wgpu::Limits::default()
+        };
+        assert!(!wgpu::Limits::default().check_limits(&small));
+        assert_eq!(lacks(&small), [""; 0]);
+        assert_eq!(required_limits(&small).max_texture_dimension_2d, 4096);
+        let one = wgpu::Limits { max_storage_textures_per_shader_stage: 0, ..small };
+        let want =
+            format!("max_storage_textures_per_shader_stage: required {STORAGE_TEXTURES}, actual 0");
+        assert_eq!(lacks(&one), [want]);
     }
 }

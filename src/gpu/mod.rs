@@ -19,3 +19,5 @@ pub(crate) use native::Alarm;
 pub use poison::Poison;
 pub use program::{Profile, Program, ProgramOptions};
 pub use slot::{Inputs, RunOutput, Slot};
+/// The crate whose devices [`Gpu::from_device`] takes.
+pub use wgpu;

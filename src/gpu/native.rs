@@ -46,6 +46,28 @@ pub(super) fn poll(
     }
 }
 
+/// Looks whether a device still is, and tells `loss` if not. It reports its loss when all work is done that
+/// it had, to a handler that may be another's, and until then takes every call and does nothing: so this
+/// makes a buffer and looks whether there is one.
+pub(super) fn look(device: &wgpu::Device, loss: &Loss) {
+    let memory = device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+    let validation = device.push_error_scope(wgpu::ErrorFilter::Validation);
+    let buffer = device.create_buffer(&wgpu::BufferDescriptor {
+        label: None,
+        size: 4,
+        usage: wgpu::BufferUsages::MAP_WRITE | wgpu::BufferUsages::COPY_SRC,
+        mapped_at_creation: true,
+    });
+    let is_there = buffer.slice(..).get_mapped_range().is_ok();
+    let is_full = pollster::block_on({
+        drop(validation.pop());
+        memory.pop()
+    });
+    if !is_there && is_full.is_none() {
+        loss.tell("it takes no more calls".into());
+    }
+}
+
 /// A thread that waits for submissions, in their order, so that the callbacks behind them run.
 #[derive(Debug)]
 pub(super) struct Poller {
@@ -76,6 +98,9 @@ impl Poller {
                     std::thread::sleep(pause);
                     pause = LONG_PAUSE.min(2 * pause);
                     let _ = poll(&device, wgpu::PollType::Poll, &loss);
+                    if pause == LONG_PAUSE {
+                        look(&device, &loss);
+                    }
                 }
             }
         });

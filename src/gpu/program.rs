@@ -264,13 +264,15 @@ impl Program {
                 let value = constant.get()?;
                 let resource = self.gpu.create(info.storage, guard);
                 match &resource {
-                    Resource::Buffer(buffer) => {
-                        self.gpu.write(buffer, 0, value.bytes());
+                    Resource::Buffer(buffer) => self.gpu.upload(buffer, value.bytes()),
+                    Resource::Texture(texture, _) => {
+                        let width = match info.storage {
+                            Storage::Texture { width, .. } => width,
+                            Storage::Buffer { .. } => 0,
+                        };
+                        self.gpu.upload_texture(texture, width, value.bytes());
                     }
-                    Resource::Texture(texture, _) => self.gpu.write_texture(texture, value.bytes()),
                 }
-                // Uploads wait in memory of their own until they are submitted.
-                self.gpu.pass_uploads_on(value.bytes().len() as u64);
                 resource
             }
         };
@@ -324,6 +326,10 @@ impl Program {
         }
         let grid = match dispatch.grid {
             Grid::Workgroups(n) => StepGrid::Direct(n),
+            Grid::Indirect(_) if pipeline.reads_grid => {
+                let message = "an indirect dispatch of what reads the number of workgroups";
+                return Err(mismatch(dispatch, message.into()));
+            }
             Grid::Indirect(id) => {
                 let first = self.part(dispatch, id).map_or(0, |(first, _)| first);
                 StepGrid::Indirect(self.place(dispatch, id)?, first)

@@ -32,6 +32,15 @@ pub use jpeg::MAX_SCANS;
 
 /// Most bytes of a picture as it is stored: [`MAX_PIXELS`] of four channels of 16 bits, and 64 MiB.
 pub const MAX_ENCODED: u64 = MAX_PIXELS as u64 * 8 + (64 << 20);
+/// Endings of pictures' names, in small letters.
+pub const ENDINGS: [&str; 6] = ["png", "jpg", "jpeg", "bmp", "tif", "tiff"];
+
+/// Whether a file's name ends as a picture's.
+pub fn has_ending(path: &Path) -> bool {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+    ending.is_some_and(|e| ENDINGS.contains(&e.as_str()))
+}
+
 /// How many bytes show what a file is.
 pub const MAGIC: u64 = 8;
 

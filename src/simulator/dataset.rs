@@ -34,6 +34,7 @@ use super::render::{Label, Rendered, Renderer, Request};
 use super::scene::Mix;
 use super::snaps::Kind;
 use crate::files;
+use crate::sensor::Sensor;
 
 /// Least number of pictures that a worker takes, to make its plans and buffers rarely.
 const CHUNK: usize = 8;
@@ -100,11 +101,13 @@ struct Origin {
     part: Option<Part>,
     #[serde(default)]
     forced: Forced,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    sensor: Option<Sensor>,
 }
 
 impl Origin {
     fn of(settings: &Settings) -> Self {
-        let Request { mix, conditions, part, forced } = &settings.request;
+        let Request { mix, conditions, part, forced, sensor } = &settings.request;
         Self {
             seed: settings.seed,
             kind: *mix,
@@ -112,6 +115,7 @@ impl Origin {
             conditions: *conditions,
             part: *part,
             forced: forced.clone(),
+            sensor: sensor.as_ref().map(|given| given.sensor().clone()),
         }
     }
 }
@@ -371,6 +375,9 @@ fn show(origin: &Origin) -> String {
     }
     if origin.forced != Forced::default() {
         text += &format!(", forced {}", origin.forced);
+    }
+    if let Some(sensor) = &origin.sensor {
+        text += &format!(", sensor {}", sensor.name);
     }
     text
 }

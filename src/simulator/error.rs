@@ -62,6 +62,21 @@ pub enum Error {
         /// The process that runs it, if it can be told.
         holder: Option<u32>,
     },
+    /// A ball or its scale that cannot be.
+    #[error("{what}: expected {least} to {most}, got {value}")]
+    Ball {
+        /// What of it.
+        what: &'static str,
+        /// The least it may be.
+        least: f64,
+        /// The most it may be.
+        most: f64,
+        /// What it is.
+        value: f64,
+    },
+    /// A sensor that cannot be, or that cannot be simulated.
+    #[error(transparent)]
+    Sensor(#[from] crate::Error),
     /// Presses do not determine a sensor.
     #[error(
         "{path}: expected presses that determine the {expected} coefficients of each channel, got \

@@ -66,15 +66,13 @@ const LOOKS: usize = 64;
 pub fn visible_share(snap: &Placed<Snap>, camera: &Camera, window: PixelBox) -> f64 {
     let [a, b] = snap.part.half_size();
     let step = 2.0 * a.max(b) / LOOKS as f64;
-    let (sin, cos) = snap.yaw.sin_cos();
+    let pose = snap.pose();
     let [left, top, right, bottom] = window;
     let (mut inside, mut all) = (0u32, 0u32);
     let counts = [a, b].map(|half| (half / step).ceil() as i32);
     for j in -counts[1]..=counts[1] {
         for i in -counts[0]..=counts[0] {
-            let (u, v) = (f64::from(i) * step, f64::from(j) * step);
-            let x = snap.center_mm[0] + cos * u - sin * v;
-            let y = snap.center_mm[1] + sin * u + cos * v;
+            let [x, y] = pose.gel([f64::from(i) * step, f64::from(j) * step]).into();
             let depth = snap.penetration(x, y, Snap::height);
             if depth > 0.0 {
                 all += 1;

@@ -6,6 +6,7 @@
 //! `gain` scales the change of brightness to the strength that was drawn: a way to reach the
 //! contrasts of real sensors, not a law.
 
+use glam::{DVec3, Vec3};
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
@@ -109,19 +110,14 @@ impl Lamps {
 
     /// The lamps as their light is summed.
     pub fn beams(&self) -> Beams {
-        let beam = |lamp: &Lamp| {
-            let (sin_e, cos_e) = lamp.ray.elevation.sin_cos();
-            let (sin_a, cos_a) = lamp.ray.azimuth.sin_cos();
-            let d = lamp.distance_mm;
-            Beam {
-                from: [d * cos_e * cos_a, d * cos_e * sin_a, d * sin_e].map(|v| v as f32),
-                distance: d as f32,
-                colour: lamp.colour.map(|v| v as f32),
-            }
+        let beam = |lamp: &Lamp| Beam {
+            from: lamp.ray.place(lamp.distance_mm).as_vec3(),
+            distance: lamp.distance_mm as f32,
+            colour: DVec3::from(lamp.colour).as_vec3(),
         };
         Beams {
             beams: self.lamps.iter().map(beam).collect(),
-            ambient: self.ambient.map(|v| v as f32),
+            ambient: DVec3::from(self.ambient).as_vec3(),
             gloss: self.gloss as f32,
             falloff: self.falloff,
         }
@@ -149,15 +145,15 @@ impl Lamps {
 }
 
 struct Beam {
-    from: [f32; 3],
+    from: Vec3,
     distance: f32,
-    colour: [f32; 3],
+    colour: Vec3,
 }
 
 /// Lamps in single precision, for the sum over a picture.
 pub struct Beams {
     beams: Vec<Beam>,
-    ambient: [f32; 3],
+    ambient: Vec3,
     gloss: f32,
     falloff: i32,
 }
@@ -173,26 +169,24 @@ impl Beams {
     ) -> [f32; 3] {
         let scale = 1.0 / (1.0 + gx * gx + gy * gy).sqrt();
         // Towards the camera, against the growth of depth.
-        let normal = [-gx * scale, -gy * scale, scale];
+        let normal = Vec3::new(-gx * scale, -gy * scale, scale);
         let mut sum = self.ambient;
         for (i, beam) in self.beams.iter().enumerate() {
-            let to = [beam.from[0] - x, beam.from[1] - y, beam.from[2]];
-            let inverse = 1.0 / (to[0] * to[0] + to[1] * to[1] + to[2] * to[2]).sqrt();
-            let light = to.map(|v| v * inverse);
-            let facing = normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2];
+            let to = beam.from - Vec3::new(x, y, 0.0);
+            let inverse = to.length_recip();
+            let light = to * inverse;
+            let facing = normal.dot(light);
             let mut amount = facing.max(0.0);
             if self.gloss > 0.0 {
                 // The camera looks along z: the mirrored light's z is their cosine.
-                let mirrored = (2.0 * facing * normal[2] - light[2]).max(0.0);
+                let mirrored = (2.0 * facing * normal.z - light.z).max(0.0);
                 let power2 = mirrored * mirrored;
                 let power4 = power2 * power2;
                 amount += self.gloss * power4 * power4;
             }
             amount *= (1.0 - shadow(i)) * (beam.distance * inverse).powi(self.falloff);
-            for (sum, &colour) in sum.iter_mut().zip(&beam.colour) {
-                *sum += colour * amount;
-            }
+            sum += beam.colour * amount;
         }
-        sum
+        sum.to_array()
     }
 }

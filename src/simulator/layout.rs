@@ -4,6 +4,7 @@
 //! without look-alikes beside them. Most snaps lie in the picture as a whole, 15 % are cut by its
 //! edge, and some touch another part.
 
+use glam::DVec2;
 use rand::RngExt;
 use rand::seq::IndexedRandom;
 use rand_pcg::Pcg64;
@@ -66,11 +67,10 @@ impl Footprint {
             other.yaw,
             other.yaw + std::f64::consts::FRAC_PI_2,
         ];
-        let offset = [other.center[0] - self.center[0], other.center[1] - self.center[1]];
+        let offset = DVec2::from(other.center) - DVec2::from(self.center);
         axes.into_iter()
             .map(|angle| {
-                let (sin, cos) = angle.sin_cos();
-                let along = (offset[0] * cos + offset[1] * sin).abs();
+                let along = offset.dot(DVec2::from_angle(angle)).abs();
                 along - self.extent(angle) - other.extent(angle)
             })
             .fold(f64::NEG_INFINITY, f64::max)
@@ -89,8 +89,7 @@ fn footprint(placed: &Placed<Distractor>) -> Footprint {
     match placed.part.half_size() {
         Some(half) => Footprint { center: placed.center_mm, half, yaw },
         None => {
-            let (sin, cos) = yaw.sin_cos();
-            let center = [placed.center_mm[0] - 40.0 * cos, placed.center_mm[1] - 40.0 * sin];
+            let center = (placed.pose().origin_mm - 40.0 * placed.pose().x).into();
             Footprint { center, half: [40.0, 80.0], yaw }
         }
     }
@@ -297,10 +296,10 @@ impl Layout<'_> {
                 }
             }
         }
-        let (sin, cos) = arm.yaw.sin_cos();
+        let pose = arm.pose();
         let place = |(part, [u, v], top): (Distractor, [f64; 2], f64)| Placed {
             part,
-            center_mm: [arm.center_mm[0] + cos * u - sin * v, arm.center_mm[1] + sin * u + cos * v],
+            center_mm: pose.gel([u, v]).into(),
             yaw: arm.yaw,
             tilt: arm.tilt,
             // In the plane of the arm's tilt.
@@ -371,9 +370,7 @@ impl Layout<'_> {
             } else {
                 [half[0] + other[0] + gap, self.rng.random_range(-0.8..0.8) * half[1]]
             };
-            let (sin, cos) = snap.yaw.sin_cos();
-            let center =
-                [snap.center_mm[0] + cos * u - sin * v, snap.center_mm[1] + sin * u + cos * v];
+            let center = snap.pose().gel([u, v]).into();
             let beside = Footprint { center, half: other, yaw: snap.yaw };
             let free = self
                 .taken

@@ -5,6 +5,7 @@
 //! do not mix, the sensor does not bloom, and there is no demosaicing.
 
 use std::io::Cursor;
+use std::sync::Arc;
 
 use image::codecs::jpeg::JpegEncoder;
 use image::{ImageFormat, RgbImage};
@@ -56,6 +57,27 @@ pub struct Housing {
     pub levels: [f32; 3],
 }
 
+/// The picture of the flat gel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Flat {
+    /// Its levels, three a pixel.
+    pub levels: Arc<[u8]>,
+    /// What of it shows gel; the rest is the same whatever presses.
+    pub window: PixelBox,
+}
+
+impl Flat {
+    /// Multiplies the gel's brightness over that of flat gel by its levels.
+    fn light(&self, plane: &mut [f32], width: usize, channel: usize) {
+        let [left, top, right, bottom] = self.window;
+        for (i, (value, pixel)) in plane.iter_mut().zip(self.levels.chunks_exact(3)).enumerate() {
+            let (x, y) = ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+            let gel = (left..right).contains(&x) && (top..bottom).contains(&y);
+            *value = f32::from(pixel[channel]) * if gel { *value } else { 1.0 };
+        }
+    }
+}
+
 /// All that a sensor adds to a surface.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Look {
@@ -65,6 +87,8 @@ pub struct Look {
     pub light: Light,
     /// The coating.
     pub coating: Coating,
+    /// The flat gel as it was photographed, in place of the coating.
+    pub flat: Option<Flat>,
     /// Factor on the brightness.
     pub exposure: f32,
     /// Shadows, if any.
@@ -91,6 +115,7 @@ impl Look {
             camera,
             light: Light::Measured(Box::new(shading)),
             coating,
+            flat: None,
             exposure,
             shadows: None,
             markers: None,
@@ -148,6 +173,7 @@ impl Look {
             camera,
             light,
             coating,
+            flat: None,
             exposure: conditions.exposure as f32,
             shadows,
             markers,
@@ -264,18 +290,28 @@ impl Painter {
                 }
                 Light::Lamps(_) => self.plane.copy_from_slice(&self.lit[channel]),
             }
-            for (value, texture) in self.plane.iter_mut().zip(&self.texture) {
-                *value *= look.exposure * texture;
-            }
-            if let Some(markers) = &look.markers {
-                let change = markers.brightness[channel] - 1.0;
-                for (value, print) in self.plane.iter_mut().zip(&prints) {
-                    *value *= 1.0 + change * print;
+            match &look.flat {
+                None => {
+                    for (value, texture) in self.plane.iter_mut().zip(&self.texture) {
+                        *value *= look.exposure * texture;
+                    }
+                    if let Some(markers) = &look.markers {
+                        let change = markers.brightness[channel] - 1.0;
+                        for (value, print) in self.plane.iter_mut().zip(&prints) {
+                            *value *= 1.0 + change * print;
+                        }
+                    }
+                    self.uneven_light(&look.coating, &frame, channel);
+                    look.darken(&mut self.plane, channel);
+                    camera.blur(&mut self.plane, &mut self.scratch);
+                }
+                // The lens has blurred it once.
+                Some(flat) => {
+                    self.plane.iter_mut().for_each(|value| *value *= look.exposure);
+                    camera.blur(&mut self.plane, &mut self.scratch);
+                    flat.light(&mut self.plane, width, channel);
                 }
             }
-            self.uneven_light(&look.coating, &frame, channel);
-            look.darken(&mut self.plane, channel);
-            camera.blur(&mut self.plane, &mut self.scratch);
             camera.digitise(&self.plane, &self.normal, rng, &mut bytes, channel, 3);
         }
         if look.grey {

@@ -1,7 +1,10 @@
 //! Dots printed on the gel, which move with it.
 
+use glam::DVec2;
 use rand::RngExt;
 use rand_pcg::Pcg64;
+
+use super::scene::Pose;
 
 /// Widest jitter of a dot, as a share of the pitch: its neighbours' cells are searched.
 const MOST_JITTER: f64 = 0.5;
@@ -63,10 +66,8 @@ impl Markers {
 
     /// How much of a point of the gel at rest is printed, 0 to 1.
     pub fn coverage(&self, x_mm: f64, y_mm: f64) -> f32 {
-        let (sin, cos) = self.yaw.sin_cos();
-        let [x, y] = [x_mm - self.origin_mm[0], y_mm - self.origin_mm[1]];
-        let u = (cos * x + sin * y) / self.pitch_mm;
-        let v = (cos * y - sin * x) / self.pitch_mm;
+        let grid = Pose { origin_mm: self.origin_mm.into(), x: DVec2::from_angle(self.yaw) };
+        let [u, v] = (grid.own(DVec2::new(x_mm, y_mm)) / self.pitch_mm).into();
         // Dots of which no part leaves the node's own cell are found there alone.
         let stays = self.jitter * self.pitch_mm + (self.size_mm + self.edge_mm) * 0.75;
         let near = i64::from(stays > 0.5 * self.pitch_mm);

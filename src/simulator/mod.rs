@@ -10,6 +10,7 @@
 //! | coating | [`coating`], [`markers`] | the coating, its wear and its dust; its print |
 //! | camera | [`camera`] | parallax, distortion, defocus, noise, 8 bits |
 //! | labels | [`label`] | boxes round the imprints, seen through the same camera |
+//! | one sensor | [`given`] | a user's own sensor, from its file |
 //! | picture | [`look`], [`render`] | one sensor's picture of a surface; all of it for one seed |
 //! | files | [`dataset`] | folders of pictures with COCO labels |
 //! | truth | [`calibrate`] | fits the optics to real presses and measures the distance to them |
@@ -44,6 +45,7 @@ pub mod dataset;
 pub mod distractors;
 pub mod frame;
 pub mod gel;
+pub mod given;
 pub mod label;
 pub mod lamps;
 pub mod layout;

@@ -1,5 +1,7 @@
 //! From a seed to a picture and its labels.
 
+use std::sync::Arc;
+
 use image::RgbImage;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -12,6 +14,7 @@ use super::contact::{Contact, Stop, solve};
 use super::distractors::Part;
 use super::frame::Frame;
 use super::gel::{Elasticity, Grid, Layer};
+use super::given::Given;
 use super::label::{Imprint, PixelBox, imprints, visible_share};
 use super::layout::Region;
 use super::look::{Light, Look, Painter, Sideways};
@@ -58,6 +61,8 @@ pub struct Request {
     pub part: Option<Part>,
     /// Conditions that are set; in wide pictures only.
     pub forced: Forced,
+    /// The one sensor that takes all pictures; in wide pictures only.
+    pub sensor: Option<Arc<Given>>,
 }
 
 impl Request {
@@ -159,11 +164,16 @@ impl Renderer {
         let mut streams = Pcg64::seed_from_u64(seed);
         let mut stream = || Pcg64::seed_from_u64(streams.random_range(0..u64::MAX));
         let [mut choice, mut conditions, mut scenes, mut sensor] = [(); 4].map(|()| stream());
-        let free = request.part.is_none() && request.forced == Forced::default();
+        let sensor_forced = request.sensor.as_ref().map(|given| given.force(&request.forced));
+        let forced = sensor_forced.as_ref().unwrap_or(&request.forced);
+        let free = request.part.is_none() && *forced == Forced::default();
         if choice.random_bool(PLAIN_SHARE) && free {
             return self.plain(choice.random_range(0..u64::MAX), request.mix);
         }
-        let (frame, conditions) = Conditions::sample(&mut conditions, &request.forced);
+        let (frame, mut conditions) = Conditions::sample(&mut conditions, forced);
+        if let Some(given) = &request.sensor {
+            given.state(&mut conditions);
+        }
         self.wide(seed, request, frame, conditions, &mut scenes, &mut sensor)
     }
 
@@ -201,22 +211,28 @@ impl Renderer {
         scenes: &mut Pcg64,
         sensor: &mut Pcg64,
     ) -> Result<Rendered, Error> {
+        let window = conditions.window;
+        let visible = region(&frame, window);
+        let field_mm = match &request.sensor {
+            // A part of the frame shows gel, not always the middle one, which the grid's is.
+            Some(_) => [0, 1].map(|axis| 2.0 * f64::max(-visible[axis], visible[axis + 2])),
+            None => frame.size_mm(),
+        };
+        let longer_mm = f64::max(field_mm[0], field_mm[1]);
         let camera = Camera {
             frame,
             distance_mm: if request.forced.mild {
-                125.0 * frame.longer_mm() / Frame::PAPER.longer_mm()
+                125.0 * longer_mm / Frame::PAPER.longer_mm()
             } else {
-                frame.longer_mm() * sensor.random_range(1.5..4.0)
+                longer_mm * sensor.random_range(1.5..4.0)
             },
             distortion: conditions.distortion,
             blur_px: conditions.blur_px,
             snr_db: conditions.snr_db,
             read_noise: sensor.random_range(0.3..1.5),
         };
-        let window = conditions.window;
-        let visible = region(&frame, window);
         let layer = Layer { thickness_mm: conditions.gel_mm, ..Layer::default() };
-        let gel_mm = frame.size_mm().map(|side| side + 2.0 * BEYOND_MM);
+        let gel_mm = field_mm.map(|side| side + 2.0 * BEYOND_MM);
         let grid = contact_grid(&frame, gel_mm);
         if self
             .wide
@@ -247,7 +263,10 @@ impl Renderer {
             };
             let found = imprints(&body, &contact, grid, &camera, window, scene.snaps.len());
             let Some(labels) = labels(&scene.snaps, &found, &camera, window) else { continue };
-            let look = Look::wide(sensor, camera, &conditions);
+            let mut look = Look::wide(sensor, camera, &conditions);
+            if let Some(given) = &request.sensor {
+                given.dress(&mut look);
+            }
             let sideways = look.markers.is_some().then(|| plan.sideways(&contact, sensor));
             let mut displacement = contact.displacement;
             smooth::blur(grid.cells, &mut displacement, skin_cells);

@@ -1,5 +1,6 @@
 //! What is pressed into the gel: drawn from a seed, laid out without overlaps.
 
+use glam::DVec2;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -18,6 +19,28 @@ const CLEARANCE_MM: f64 = 0.8;
 /// Heights further than this below the gel's surface are left out of the rigid body.
 const BODY_DEPTH_MM: f64 = 3.0;
 
+/// Where a part's own frame lies on the gel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pose {
+    /// The frame's origin in millimetres from the gel's centre.
+    pub origin_mm: DVec2,
+    /// Direction of its x on the gel, of length 1; its y is a quarter turn further.
+    pub x: DVec2,
+}
+
+impl Pose {
+    /// The place on the gel of a point of the frame.
+    pub fn gel(&self, [u, v]: [f64; 2]) -> DVec2 {
+        self.origin_mm + self.x * u + self.x.perp() * v
+    }
+
+    /// The point of the frame at a place on the gel.
+    pub fn own(&self, place: DVec2) -> DVec2 {
+        let from = place - self.origin_mm;
+        DVec2::new(self.x.dot(from), self.x.perp().dot(from))
+    }
+}
+
 /// A part somewhere on the gel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Placed<T> {
@@ -35,11 +58,14 @@ pub struct Placed<T> {
 }
 
 impl<T> Placed<T> {
+    /// Where the part's own frame lies on the gel.
+    pub fn pose(&self) -> Pose {
+        Pose { origin_mm: self.center_mm.into(), x: DVec2::from_angle(self.yaw) }
+    }
+
     /// Coordinates of a point on the gel in the part's own frame.
     pub fn local(&self, x: f64, y: f64) -> [f64; 2] {
-        let (sin, cos) = self.yaw.sin_cos();
-        let [dx, dy] = [x - self.center_mm[0], y - self.center_mm[1]];
-        [cos * dx + sin * dy, -sin * dx + cos * dy]
+        self.pose().own(DVec2::new(x, y)).into()
     }
 
     /// How far the part reaches below the undeformed gel at a point, in millimetres.

@@ -4,6 +4,8 @@
 //! gel, and what the relief reflects lights nothing else. The edge of a shadow is softened by the
 //! height by which a ray is missed, which stands for a lamp of finite size.
 
+use glam::{DVec2, DVec3, Vec2Swizzles};
+
 use super::gel::Grid;
 
 /// Where light comes from.
@@ -13,6 +15,14 @@ pub struct Ray {
     pub azimuth: f64,
     /// Angle above the gel, in radians.
     pub elevation: f64,
+}
+
+impl Ray {
+    /// The place from which light comes that stands so far from the gel's middle, z towards the camera.
+    pub fn place(&self, distance_mm: f64) -> DVec3 {
+        let (sin, cos) = self.elevation.sin_cos();
+        (DVec2::from_angle(self.azimuth) * (distance_mm * cos)).extend(distance_mm * sin)
+    }
 }
 
 /// How much of the light each cell lacks, 0 to 1, on a surface of these heights towards the
@@ -30,9 +40,9 @@ pub fn cast(grid: Grid, heights: &[f32], ray: Ray, soft_mm: f64) -> Vec<f32> {
     let soft = (soft_mm * slope).max(1e-4) as f32;
     // Rays go along the axis that they are closer to: `lines` are met one after the other, and
     // from one to the next a ray moves by `shift` cells along the line.
-    let (sin, cos) = ray.azimuth.sin_cos();
-    let along_x = cos.abs() > sin.abs();
-    let (major, minor) = if along_x { (cos, sin) } else { (sin, cos) };
+    let to = DVec2::from_angle(ray.azimuth);
+    let along_x = to.x.abs() > to.y.abs();
+    let [major, minor] = if along_x { to } else { to.yx() }.to_array();
     let drop = (slope * grid.spacing_mm / major.abs()) as f32;
     let shift = (minor / major.abs()) as f32;
     let index = |line: usize, at: usize| if along_x { at * n + line } else { line * n + at };

@@ -16,10 +16,9 @@ struct Params {
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let index = linear_index(workgroup, workgroups, local, 64u);
+    let index = linear_index(workgroup, local, 64u);
     if index >= params.channels * params.area {
         return;
     }

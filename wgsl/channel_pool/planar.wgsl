@@ -19,10 +19,9 @@ const WORKGROUP: u32 = 64u;
 @compute @workgroup_size(WORKGROUP)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let channel = linear_index(workgroup, workgroups, 0u, 1u);
+    let channel = linear_index(workgroup, 0u, 1u);
     if channel >= params.channels {
         return;
     }

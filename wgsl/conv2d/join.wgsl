@@ -22,11 +22,10 @@ struct Params {
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
     let map = params.output;
-    let index = linear_index(workgroup, workgroups, local, 64u);
+    let index = linear_index(workgroup, local, 64u);
     let x = index % map.width;
     let y = index / map.width % map.height;
     let quad = index / (map.width * map.height) % map.quads;

@@ -85,11 +85,10 @@ fn total_weight(t: Taps) -> f32 {
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
     let area = params.width * params.height;
-    let pixel = linear_index(workgroup, workgroups, local, 64u);
+    let pixel = linear_index(workgroup, local, 64u);
     if pixel >= area {
         return;
     }

@@ -74,12 +74,11 @@ const ROWS: u32 = 16u;
 @compute @workgroup_size(LANES)
 fn partial(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
     @builtin(subgroup_invocation_id) lane: u32,
 ) {
     let rows = min(count[0], params.rows);
-    let first_row = linear_index(workgroup, workgroups, 0u, 1u) * ROWS;
+    let first_row = linear_index(workgroup, 0u, 1u) * ROWS;
     if first_row >= rows {
         return;
     }
@@ -153,10 +152,9 @@ fn partial(
 @compute @workgroup_size(64)
 fn finish(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let index = linear_index(workgroup, workgroups, local, 64u);
+    let index = linear_index(workgroup, local, 64u);
     let row = index / params.outputs;
     let column = index % params.outputs;
     if row >= min(count[0], params.rows) {

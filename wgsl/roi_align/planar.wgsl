@@ -54,10 +54,9 @@ fn load(at: u32, offsets: vec4<u32>) -> vec4<f32> {
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let at = linear_index(workgroup, workgroups, local, 64u);
+    let at = linear_index(workgroup, local, 64u);
     let bins = params.size * params.size;
     let quads = (params.channels + 3u) / 4u;
     let roi = at / (bins * quads);

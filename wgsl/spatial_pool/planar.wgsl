@@ -25,10 +25,9 @@ const SLICES: u32 = WORKGROUP / PIXELS;
 @compute @workgroup_size(WORKGROUP)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let pixel = linear_index(workgroup, workgroups, 0u, 1u) * PIXELS + local % PIXELS;
+    let pixel = linear_index(workgroup, 0u, 1u) * PIXELS + local % PIXELS;
     // Every invocation goes through the tree; those past the end repeat the last pixel.
     let at = min(pixel, params.area - 1u);
     var found = vec2<f32>(0.0, input[at] * channel_gate[0]);

@@ -34,10 +34,9 @@ fn between(i: u32, in_length: u32, out_length: u32) -> Between {
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
 ) {
-    let index = linear_index(workgroup, workgroups, local, 64u);
+    let index = linear_index(workgroup, local, 64u);
     if index >= params.channels * params.out_height * params.out_width {
         return;
     }

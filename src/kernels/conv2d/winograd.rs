@@ -4,6 +4,7 @@ use super::direct::Products;
 use super::{Sizes, padded_bias, weights_known};
 use crate::error::{Error, Result};
 use crate::graph::TensorId;
+use crate::kernels::products::Lanes;
 use crate::kernels::{
     Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Quads, Recording, Work,
 };
@@ -122,10 +123,13 @@ impl Kernel for Winograd {
     }
 
     fn preferred(&self, work: &Work) -> bool {
-        Plan::of(work).is_some_and(|plan| {
-            let Sizes { in_c, out_c, .. } = plan.sizes;
-            in_c.min(out_c) >= LEAST_CHANNELS && plan.tiles >= LEAST_TILES
-        })
+        // Its weights are four times as many. Where they lie in the host's memory and the host makes
+        // them before its first picture, that is for `tune` to choose.
+        Lanes::of(work.caps).of_many_cores()
+            && Plan::of(work).is_some_and(|plan| {
+                let Sizes { in_c, out_c, .. } = plan.sizes;
+                in_c.min(out_c) >= LEAST_CHANNELS && plan.tiles >= LEAST_TILES
+            })
     }
 
     fn reads(&self, work: &Work, index: usize) -> Layout {

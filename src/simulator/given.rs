@@ -1,0 +1,164 @@
+//! A user's own sensor, as its file describes it: pictures are drawn as it would take them.
+//!
+//! Frame, the gel's part of it, scale and distortion replace what is drawn by lot; so do the light, if
+//! the file has one, and, if it names a frame without contact, the flat gel's picture: its colours,
+//! texture, print and housing are then those of that frame. Its noise is in it too, and the same in
+//! all pictures. Printed dots on it stay where they are when the gel moves.
+
+use std::path::PathBuf;
+
+use super::Error;
+use super::conditions::{Conditions, Forced, Optics, Span, TYPICAL_CONTRAST};
+use super::frame::Frame;
+use super::label::PixelBox;
+use super::look::{Flat, Housing, Light, Look};
+use super::optics::{Channel, Shading};
+use crate::picture;
+use crate::sensor::Sensor;
+
+/// Levels of a housing that nothing shows.
+const DARK: f32 = 8.0;
+/// Longest side of frames that are drawn, in pixels.
+const MAX_SIDE: u32 = 4000;
+
+/// A sensor that pictures are drawn for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Given {
+    sensor: Sensor,
+    frame: Frame,
+    window: PixelBox,
+    shading: Option<Shading>,
+    flat: Option<Flat>,
+}
+
+impl Given {
+    /// Takes a sensor, and reads its frame without contact if it names one.
+    ///
+    /// # Errors
+    /// [`Error::Sensor`] for one that cannot be, that takes frames of any size, or of which a frame is
+    /// too large to be drawn; [`Error::Picture`] and [`Error::Content`] for a frame without contact that
+    /// cannot be read or has another size.
+    pub fn new(mut sensor: Sensor) -> Result<Self, Error> {
+        sensor.check()?;
+        // A data set that is continued reads it again, and wants the same.
+        sensor.light = sensor.light.map(|light| light.rounded());
+        let fail = |message: String| {
+            Error::Sensor(crate::Error::Sensor { sensor: sensor.name.clone(), message })
+        };
+        let Some([width, height]) = sensor.frame else {
+            return Err(fail("frame: expected one to draw, got none".into()));
+        };
+        if width.max(height) > MAX_SIDE || width.min(height) < 32 {
+            let expected = format!("sides of 32 to {MAX_SIDE} pixels to draw");
+            return Err(fail(format!("frame: expected {expected}, got {width} × {height}")));
+        }
+        let view = sensor.view([width, height], None)?;
+        let gel = view.part;
+        let frame = Frame {
+            width: width as usize,
+            height: height as usize,
+            // As many digits as single precision has.
+            mm_per_pixel: (f64::from(view.mm_per_pixel) * 1e7).round() / 1e7,
+        };
+        let window = [gel.x, gel.y, gel.x + gel.width, gel.y + gel.height].map(f64::from);
+        let shading = sensor.light.map(|light| {
+            // There y is in halves of the width, in a look in halves of the height.
+            let tall = f64::from(height) / f64::from(width);
+            let scaled = |row: [f64; 6]| {
+                let [one, x, y, xx, xy, yy] = row;
+                [one, x, y * tall, xx, xy * tall, yy * tall * tall]
+            };
+            Shading { channels: light.channels.map(|channel: Channel| channel.map(scaled)) }
+        });
+        let flat = match &sensor.reference {
+            Some(path) => Some(read_flat(path, [width, height])?),
+            None => None,
+        };
+        Ok(Self { sensor, frame, window, shading, flat })
+    }
+
+    /// The sensor.
+    pub fn sensor(&self) -> &Sensor {
+        &self.sensor
+    }
+
+    /// The frame that it takes.
+    pub fn frame(&self) -> Frame {
+        self.frame
+    }
+
+    /// Conditions to be drawn: those that are `forced`, and what the sensor states.
+    pub fn force(&self, forced: &Forced) -> Forced {
+        let exactly = |value: f64| Some(Span { low: value, high: value });
+        let mut forced = forced.clone();
+        forced.frame = Some(self.frame);
+        forced.distortion = exactly(self.sensor.distortion.into());
+        forced.housing = Some(false);
+        if self.shading.is_some() {
+            forced.optics = Some(Optics::Measured);
+        }
+        if self.flat.is_some() {
+            // What the frame without contact shows is not drawn a second time.
+            forced.markers = exactly(0.0);
+            forced.vignetting = exactly(0.0);
+            forced.mottle = exactly(0.0);
+            forced.exposure = forced.exposure.or(exactly(1.0));
+        } else if let Some(markers) = self.sensor.markers {
+            forced.markers = exactly(markers.pitch_mm.into());
+        }
+        forced
+    }
+
+    /// Writes the sensor's own into drawn conditions.
+    pub fn state(&self, conditions: &mut Conditions) {
+        conditions.window = self.window;
+        if let Some(shading) = &self.shading {
+            conditions.strength = shading.contrast() / TYPICAL_CONTRAST;
+        }
+    }
+
+    /// Gives a drawn look the sensor's light, flat gel, print and housing.
+    pub fn dress(&self, look: &mut Look) {
+        if let Some(shading) = &self.shading {
+            if let Some(shadows) = &mut look.shadows {
+                for (channel, ray) in shadows.rays.iter_mut().take(3).enumerate() {
+                    ray.azimuth = shading.azimuth(channel);
+                }
+            }
+            look.light = Light::Measured(Box::new(shading.clone()));
+        }
+        let [width, height] = self.frame.size_px();
+        if let Some(flat) = &self.flat {
+            look.flat = Some(flat.clone());
+            look.grey = false;
+            look.vignetting = 0.0;
+        } else if self.window != [0.0, 0.0, width, height] {
+            look.housing = Some(Housing {
+                window: self.window,
+                corner_px: 0.0,
+                edge_px: 1.0,
+                levels: [DARK; 3],
+            });
+        }
+        if let (Some(markers), Some(own)) = (&mut look.markers, self.sensor.markers) {
+            markers.size_mm = own.diameter_mm.into();
+            markers.square = false;
+        }
+        if let Some(flat) = &mut look.flat {
+            flat.window = self.window;
+        }
+    }
+}
+
+fn read_flat(path: &PathBuf, [width, height]: [u32; 2]) -> Result<Flat, Error> {
+    let read = picture::read(path);
+    let read = read.map_err(|source| Error::Picture { path: path.clone(), source })?.into_rgb8();
+    if read.dimensions() != (width, height) {
+        return Err(Error::Content {
+            path: path.clone(),
+            expected: format!("{width} × {height} pixels as the sensor's frames"),
+            found: format!("{} × {}", read.width(), read.height()),
+        });
+    }
+    Ok(Flat { levels: read.into_raw().into(), window: [0.0; 4] })
+}

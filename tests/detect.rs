@@ -107,12 +107,14 @@ fn one_detector_serves_threads_and_pictures_of_any_size() {
     let picture = sample(&labels.images[0]);
     let first = detector.detect(&picture).expect("detections");
 
-    // The same picture in a wide frame: the network sees the same square, so the same boxes come
-    // back, moved.
+    // The same picture as a part of a wide frame: the network sees the same square, so the same boxes
+    // come back, moved.
     let side = picture.width();
     let mut wide = image::RgbImage::new(side + 240, side);
     image::imageops::replace(&mut wide, &picture.to_rgb8(), 120, 0);
-    let moved = detector.detect(&wide.into()).expect("detections");
+    let wide = image::DynamicImage::from(wide);
+    let part = Rect { x: 120, y: 0, width: side, height: side };
+    let moved = detector.detect_frame(&Frame::from(&wide).crop(part)).expect("detections");
     assert_eq!(first.detections.len(), moved.detections.len());
     for (a, b) in first.detections.iter().zip(&moved.detections) {
         assert_eq!((&a.class, a.score), (&b.class, b.score));

@@ -3,10 +3,10 @@
 //!
 //! | module | what it does |
 //! |---|---|
-//! | [`find`] | where the ball is in a picture, and how large |
-//! | [`ball`] | the gel's surface under it |
-//! | [`distance`] | how far two pictures are apart |
-//! | [`gelsight`] | factory calibrations that others measured |
+//! | `find` | where the ball is in a picture, and how large |
+//! | `ball` | the gel's surface under it |
+//! | `distance` | how far two pictures are apart |
+//! | `gelsight` | factory calibrations that others measured |
 
 mod ball;
 mod distance;

@@ -23,6 +23,8 @@ const STAGE_BOUND: f64 = 1e-5;
 const SCORE: f32 = 1e-4;
 /// The same of a box's deltas, on 300 picture pixels, and of the box that they refer to.
 const PIXELS: f32 = 0.02;
+/// Half of the last digit of a yaw that `detect` prints.
+const DEGREES: f32 = 0.05;
 
 fn file(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
@@ -56,8 +58,7 @@ fn stages_match_pytorch() {
         for (name, view) in golden.iter() {
             if view.dtype() != safetensors::Dtype::F32
                 || name == "pixels"
-                || name == "detections.boxes"
-                || name == "detections.scores"
+                || name.starts_with("detections.")
             {
                 continue;
             }
@@ -71,7 +72,7 @@ fn stages_match_pytorch() {
             compared += 1;
         }
         assert!(compared >= 20, "only {compared} stages");
-        let golden_floats = |name| -> Vec<f32> {
+        let golden_floats = |name: &str| -> Vec<f32> {
             bytemuck::pod_collect_to_vec(golden.tensor(name).expect("a tensor").data())
         };
         let boxes = golden_floats("detections.boxes");
@@ -86,6 +87,19 @@ fn stages_match_pytorch() {
             assert!((detection.score - scores[i]).abs() <= SCORE, "{detection:?} {}", scores[i]);
             for (got, want) in detection.bbox.iter().zip(&boxes[4 * i..]) {
                 assert!((got - want * scale).abs() <= PIXELS, "{detection:?} {want}");
+            }
+            // A deviation is the exponential of half a number of the size of a logit.
+            let near = |got: Option<f32>, name: &str, at: usize, bound: f32| {
+                let want = golden_floats(name)[at];
+                let right = got.map_or(want.is_nan(), |got| (got - want).abs() <= bound);
+                assert!(right, "{device:?} {name}: expected {want}, got {got:?}");
+            };
+            near(detection.yaw_deg, "detections.yaw", i, DEGREES);
+            near(detection.yaw_std_deg, "detections.yaw_std", i, DEGREES);
+            near(detection.whole, "detections.whole", i, SCORE);
+            for axis in [0, 1] {
+                let std = detection.center_std_mm.map(|std| std[axis]);
+                near(std, "detections.centre_std", 2 * i + axis, SCORE);
             }
         }
     }

@@ -214,6 +214,7 @@ fn cases() -> Vec<Case> {
         (vec![100, 512], 512, true),
         (vec![100, 512], 3, false),
         (vec![100, 512], 12, false),
+        (vec![100, 512], 6, false),
     ];
     for (i, (shape, outputs, relu)) in layers.into_iter().enumerate() {
         let seed = 1000 + i as u64 * 10;

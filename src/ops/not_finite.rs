@@ -125,7 +125,7 @@ fn cases() -> Vec<Case> {
             .by_hand(vec![integers([2], &[4096, 1])]),
     ];
     // What the network looks at: class and box of each anchor, what the stages pool, the weights of the
-    // scales, and of each proposal the probabilities and the deltas. In half precision 10⁶ is infinite.
+    // scales, and of each proposal the probabilities, the deltas and the pose. In half precision 10⁶ is infinite.
     for (seed, dims) in [(1000, [12, 40, 40]), (1001, [48, 40, 40])] {
         let name = format!("{} channels of the proposals", dims[0]);
         cases.push(Case::new(name, ALL, vec![random_scaled(seed, dims, 1e6)]).in_network());
@@ -137,7 +137,7 @@ fn cases() -> Vec<Case> {
     }
     let scales = vec![random_scaled(1002, [3], 1e6)];
     cases.push(Case::new("the scales", ALL, scales).in_network());
-    for (seed, columns) in [(1003, 3), (1004, 12)] {
+    for (seed, columns) in [(1003, 3), (1004, 12), (1005, 6)] {
         let name = format!("{columns} numbers of each proposal");
         let inputs = vec![random_scaled(seed, [100, columns], 1e6), integers([1], &[100])];
         cases.push(Case::new(name, COUNTED, inputs).in_network());

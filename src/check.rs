@@ -2,7 +2,7 @@
 //!
 //! Tests run these, and so may anyone who replaces a shader or brings a new driver.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use crate::error::{Error, Result};
@@ -11,68 +11,123 @@ use crate::graph::{Graph, TensorId};
 use crate::kernels::{self, Kernel, Layout, Work};
 use crate::lower::{Choice, Lowered, Request, lower};
 use crate::ops::case::WEIGHTS;
+use crate::ops::op::Tolerance;
 use crate::ops::{Case, Expected, Op, Report};
+use crate::precision::Precision;
 use crate::shape::{Extent, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
-/// Runs `case` by each kernel that fits, on `gpu` with poisoned, guarded buffers, and holds it to the
-/// reference within the kernel's bound; where there are outputs by hand, to those too.
+/// Runs `case` by each kernel that fits and in each [`Precision`], on `gpu` with poisoned, guarded
+/// buffers, and holds it to the reference within the kernel's bound; where there are outputs by hand, to
+/// those too.
 ///
 /// # Errors
 /// What the operation or the device returns. Wrong values are no error, but failures in the
 /// report.
 pub fn check(gpu: &Arc<Gpu>, case: &Case) -> Result<Report> {
-    check_expected(gpu, &Expected::of(case)?, &case.inputs)
-}
-
-/// [`check`] of a case whose reference has run, on other `inputs` than its own.
-///
-/// # Errors
-/// As [`check`].
-pub fn check_expected(gpu: &Arc<Gpu>, expected: &Expected, inputs: &[Value]) -> Result<Report> {
-    let mut report = Report { max_error: 0.0, max_share: 0.0, failures: Vec::new() };
-    for kernel in fitting(gpu, expected.case())? {
-        let one = check_kernel(gpu, expected, inputs, kernel)?;
-        report.max_error = report.max_error.max(one.max_error);
-        report.max_share = report.max_share.max(one.max_share);
-        report.failures.extend(one.failures);
+    let mut report = check_expected(gpu, &Expected::of(case)?, &case.inputs)?;
+    // By which inputs are stored in f16, the kernels that read those so.
+    let mut halves: BTreeMap<Vec<bool>, Vec<&'static dyn Kernel>> = BTreeMap::new();
+    for (kernel, stored) in fitting(gpu, case, Precision::F16)? {
+        halves.entry(stored).or_default().push(kernel);
+    }
+    for (stored, kernels) in halves {
+        let Some(case) = rounded(case, &stored) else { continue };
+        let expected = Expected::of(&case)?;
+        for kernel in kernels {
+            report.add(check_kernel(gpu, &expected, &case.inputs, (kernel, Precision::F16))?);
+        }
     }
     Ok(report)
 }
 
-/// The kernels that can run a case on a device.
+/// [`check`] in f32 of a case whose reference has run, on other `inputs` than its own.
 ///
 /// # Errors
-/// What the operation refuses.
-pub fn fitting(gpu: &Gpu, case: &Case) -> Result<Vec<&'static dyn Kernel>> {
+/// As [`check`].
+pub fn check_expected(gpu: &Arc<Gpu>, expected: &Expected, inputs: &[Value]) -> Result<Report> {
+    let mut report = Report::default();
+    for (kernel, _) in fitting(gpu, expected.case(), Precision::F32)? {
+        report.add(check_kernel(gpu, expected, inputs, (kernel, Precision::F32))?);
+    }
+    Ok(report)
+}
+
+/// The kernels that can run a case on a device in a precision, each with the inputs that it does not read
+/// planar, which are stored in that precision.
+fn fitting(
+    gpu: &Gpu,
+    case: &Case,
+    precision: Precision,
+) -> Result<Vec<(&'static dyn Kernel, Vec<bool>)>> {
     let specs: Vec<TensorSpec> = case.inputs.iter().map(Value::spec).collect();
     let outputs = case.op.infer(&specs)?;
     let known: Vec<bool> = case.op.inputs().iter().map(|n| WEIGHTS.contains(n)).collect();
     let op = case.op.as_ref();
     let (inputs, outputs, caps) = (&specs[..], &outputs[..], gpu.caps());
-    let work = Work { node: 0, op, inputs, known: &known, outputs, batch: 1, caps };
-    Ok(kernels::of(op)?.iter().copied().filter(|k| k.fits(&work)).collect())
+    let work = Work { node: 0, op, inputs, known: &known, outputs, batch: 1, precision, caps };
+    let fitting = kernels::of(op)?.iter().copied().filter(|k| k.fits(&work));
+    let stored = |kernel: &dyn Kernel| {
+        let layouts = (0..specs.len()).map(|i| kernel.reads(&work, i));
+        layouts.map(|layout| layout != Layout::Planar).collect()
+    };
+    Ok(fitting.map(|kernel| (kernel, stored(kernel))).collect())
 }
 
-/// [`check_expected`] of one kernel.
-///
-/// # Errors
-/// As [`check`].
-pub fn check_kernel(
+/// The case with those inputs that are `stored` in f16 rounded before, so that storing them changes
+/// nothing; `None` if f16 overflows.
+fn rounded(case: &Case, stored: &[bool]) -> Option<Case> {
+    let mut inputs = Vec::with_capacity(case.inputs.len());
+    for (input, stored) in case.inputs.iter().zip(stored) {
+        inputs.push(match input {
+            Value::F32(tensor) if *stored => {
+                let half = Precision::F16.rounded(tensor);
+                let mut pairs = tensor.data().iter().zip(half.data());
+                if pairs.any(|(x, half)| x.is_finite() && !half.is_finite()) {
+                    return None;
+                }
+                half.into()
+            }
+            other => other.clone(),
+        });
+    }
+    let same = inputs == case.inputs;
+    Some(Case {
+        name: format!("{} in f16", case.name),
+        op: case.op.clone(),
+        inputs,
+        by_hand: case.by_hand.clone().filter(|_| same),
+        exact: case.exact,
+        network: case.network,
+    })
+}
+
+/// [`check`] of one kernel in one precision.
+fn check_kernel(
     gpu: &Arc<Gpu>,
     expected: &Expected,
     inputs: &[Value],
-    kernel: &dyn Kernel,
+    (kernel, precision): (&dyn Kernel, Precision),
 ) -> Result<Report> {
     let case = expected.case();
     let op = case.op.as_ref();
-    let mut single = Single::new(gpu, &case.op, inputs, kernel.id(), 1, true)?;
+    let mut single = Single::new(gpu, &case.op, inputs, (kernel.id(), precision), 1, true)?;
+    if precision.is_half() && !single.has_halves {
+        return Ok(Report::default());
+    }
     // What one kind of poison hides the other shows.
     let nan = single.run_poisoned(Poison::Nan)?;
     let finite = single.run_poisoned(Poison::Finite)?;
     let case_inputs: Vec<&Value> = case.inputs.iter().collect();
-    let bounds = kernel.tolerance(op, &case_inputs, &expected.reference)?;
-    let mut report = expected.judge(&nan, bounds);
+    let values = (&case_inputs[..], &expected.reference[..]);
+    let bounds = match case.exact {
+        true => {
+            let outputs = expected.reference.iter().zip(&single.written);
+            outputs.map(|(value, written)| Tolerance::Exact.stored(value, *written)).collect()
+        }
+        false => kernels::bounds(Some(kernel), op, values, precision, &single.written)?,
+    };
+    let mut report = expected.judge(&nan, Some(bounds));
     for (i, name) in op.outputs().into_iter().enumerate() {
         let what = format!("{} / {} / {name}", kernel.id(), case.name);
         let n = expected.defined[i];
@@ -85,7 +140,7 @@ pub fn check_kernel(
         }
     }
     if kernel.batched() {
-        check_batch(gpu, expected, inputs, kernel, &nan, &mut report)?;
+        check_batch(gpu, expected, inputs, (kernel, precision), &nan, &mut report)?;
     }
     Ok(report)
 }
@@ -95,12 +150,12 @@ fn check_batch(
     gpu: &Arc<Gpu>,
     expected: &Expected,
     inputs: &[Value],
-    kernel: &dyn Kernel,
+    (kernel, precision): (&dyn Kernel, Precision),
     alone: &[Value],
     report: &mut Report,
 ) -> Result<()> {
     let case = expected.case();
-    let mut single = Single::new(gpu, &case.op, inputs, kernel.id(), 2, true)?;
+    let mut single = Single::new(gpu, &case.op, inputs, (kernel.id(), precision), 2, true)?;
     let turned: Vec<Value> = inputs.iter().map(turned).collect();
     for order in [[inputs, &turned[..]], [&turned[..], inputs]] {
         let values = single.run_batch(&order)?;
@@ -132,7 +187,7 @@ fn turned(value: &Value) -> Value {
 /// # Errors
 /// What the operation or the device returns.
 pub fn run_op(gpu: &Arc<Gpu>, op: &Arc<dyn Op>, inputs: &[Value]) -> Result<Vec<Value>> {
-    Single::new(gpu, op, inputs, "", 1, false)?.run()
+    Single::new(gpu, op, inputs, ("", Precision::F32), 1, false)?.run()
 }
 
 /// An operation alone on a device.
@@ -144,6 +199,10 @@ struct Single {
     indices: Vec<usize>,
     outputs: Vec<TensorId>,
     names: Vec<&'static str>,
+    /// How the outputs are stored.
+    written: Vec<Precision>,
+    /// Whether anything is stored in f16.
+    has_halves: bool,
     /// The recording's tensors of the outputs, for those that are planar.
     poisoned: Vec<Option<TensorId>>,
 }
@@ -153,7 +212,7 @@ impl Single {
         gpu: &Arc<Gpu>,
         op: &Arc<dyn Op>,
         inputs: &[Value],
-        kernel: &str,
+        (kernel, precision): (&str, Precision),
         batch: u32,
         guard: bool,
     ) -> Result<Self> {
@@ -174,15 +233,18 @@ impl Single {
         let outputs = graph.apply_shared(op.name(), op.clone(), &ids)?;
         outputs.iter().for_each(|id| graph.mark_output(*id));
         let choice = if kernel.is_empty() { Choice::default() } else { Choice::force(kernel)? };
-        let request = Request { keep: &[], batch, caps: gpu.caps(), choice: &choice };
+        let request = Request { keep: &[], batch, precision, caps: gpu.caps(), choice: &choice };
         let lowered = lower(&graph, &request)?;
+        let has_halves = lowered.recording.tensors().iter().any(|t| t.precision.is_half());
+        let written = outputs.iter().map(|id| lowered.stored(*id)).collect();
         let poisoned = outputs.iter().map(|id| planar(&lowered, *id)).collect();
         let options = ProgramOptions { reuse: true, guard, profile: Profile::Off };
         let slot = pollster::block_on(async {
             let program = Program::new(gpu, &lowered, None, options).await?;
             Slot::new(&Arc::new(program)).await
         })?;
-        Ok(Self { slot, given, indices, outputs, names: op.outputs(), poisoned })
+        let names = op.outputs();
+        Ok(Self { slot, given, indices, outputs, names, written, has_halves, poisoned })
     }
 
     fn run_poisoned(&mut self, poison: Poison) -> Result<Vec<Value>> {

@@ -10,6 +10,7 @@ use crate::gpu::faults::{Call, Fault, Faults};
 use crate::gpu::native::{self, Clock, Loss, Poller};
 use crate::gpu::program::Resource;
 use crate::kernels::{Caps, Command, Dispatch, Recording, Storage};
+use crate::precision::Precision;
 use crate::shader::{self, BindingKind, Variant};
 
 /// Which adapter to open.
@@ -448,7 +449,7 @@ impl Gpu {
                     mapped_at_creation: false,
                 }))
             }
-            Storage::Texture { mut width, height } => {
+            Storage::Texture { mut width, height, precision } => {
                 if self.fault(Call::Texture) == Some(Fault::Invalid) {
                     width = 0;
                 }
@@ -458,7 +459,7 @@ impl Gpu {
                     mip_level_count: 1,
                     sample_count: 1,
                     dimension: wgpu::TextureDimension::D2,
-                    format: wgpu::TextureFormat::Rgba32Float,
+                    format: texture_format(precision),
                     usage: wgpu::TextureUsages::STORAGE_BINDING | wgpu::TextureUsages::COPY_DST,
                     view_formats: &[],
                 });
@@ -468,13 +469,13 @@ impl Gpu {
         }
     }
 
-    /// Fills a texture of rgba32float.
+    /// Fills a texture.
     pub(super) fn write_texture(&self, texture: &wgpu::Texture, bytes: &[u8]) {
         let refused = self.fault(Call::Write) == Some(Fault::Invalid);
         let bytes = if refused { &[] } else { bytes };
         let layout = wgpu::TexelCopyBufferLayout {
             offset: 0,
-            bytes_per_row: Some(texture.width() * 16),
+            bytes_per_row: texture.format().block_copy_size(None).map(|n| texture.width() * n),
             rows_per_image: Some(texture.height()),
         };
         self.queue.write_texture(texture.as_image_copy(), bytes, layout, texture.size());
@@ -613,9 +614,9 @@ impl Gpu {
                     BindingKind::ReadWrite => {
                         buffer(wgpu::BufferBindingType::Storage { read_only: false })
                     }
-                    BindingKind::Texture => wgpu::BindingType::StorageTexture {
+                    BindingKind::Texture(precision) => wgpu::BindingType::StorageTexture {
                         access: wgpu::StorageTextureAccess::ReadOnly,
-                        format: wgpu::TextureFormat::Rgba32Float,
+                        format: texture_format(*precision),
                         view_dimension: wgpu::TextureViewDimension::D2,
                     },
                 },
@@ -659,5 +660,12 @@ impl Drop for Gpu {
             // To drop the queue would wait without a limit: a device that hangs keeps its own.
             std::mem::forget((self.device.clone(), self.queue.clone()));
         }
+    }
+}
+/// The format of a texture of four channels.
+fn texture_format(precision: Precision) -> wgpu::TextureFormat {
+    match precision {
+        Precision::F32 => wgpu::TextureFormat::Rgba32Float,
+        Precision::F16 => wgpu::TextureFormat::Rgba16Float,
     }
 }

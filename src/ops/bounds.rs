@@ -102,6 +102,12 @@ pub fn sigmoid_error(logit_error: f64) -> f64 {
     logit_error / 4.0 + 10.0 * EPS
 }
 
+/// What weights that are off by their bounds make of a sum, which come to `moved`.
+pub fn moved_sum(moved: f64) -> f64 {
+    // With room for the roundings of the sum itself, which are a thousand times smaller.
+    1.001 * moved
+}
+
 /// The absolute values of a tensor, to compute magnitudes with the operation's own reference.
 ///
 /// # Errors

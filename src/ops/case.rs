@@ -62,7 +62,7 @@ impl Case {
 }
 
 /// What a check measured.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Report {
     /// Largest absolute error of the shader against the reference.
     pub max_error: f64,
@@ -70,6 +70,15 @@ pub struct Report {
     pub max_share: f64,
     /// What failed, in words; empty in a case that passes.
     pub failures: Vec<String>,
+}
+
+impl Report {
+    /// Takes in another.
+    pub(crate) fn add(&mut self, other: Self) {
+        self.max_error = self.max_error.max(other.max_error);
+        self.max_share = self.max_share.max(other.max_share);
+        self.failures.extend(other.failures);
+    }
 }
 
 /// A case with what must come of it, to check several devices or shaders.
@@ -105,7 +114,7 @@ impl<'a> Expected<'a> {
     /// Holds `outputs` to the reference, within `bounds` of their own where there are some; where there
     /// are outputs by hand, to those too.
     pub fn judge(&self, outputs: &[Value], bounds: Option<Vec<Tolerance>>) -> Report {
-        let bounds = bounds.as_ref().filter(|_| !self.case.exact).unwrap_or(&self.bounds);
+        let bounds = bounds.as_ref().unwrap_or(&self.bounds);
         let mut report = Report { max_error: 0.0, max_share: 0.0, failures: Vec::new() };
         for (i, name) in self.case.op.outputs().into_iter().enumerate() {
             let what = format!("{} / {} / {name}", self.case.op.name(), self.case.name);

@@ -6,6 +6,7 @@ use std::fmt::Debug;
 use crate::error::{Error, Result};
 use crate::ops::case::Case;
 use crate::ops::params::{Param, Params, Settings};
+use crate::precision::Precision;
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
@@ -135,6 +136,22 @@ impl Tolerance {
             Self::Uniform(bound) => *bound,
             Self::Each(bounds) => bounds[i],
         }
+    }
+
+    /// The bound of what is stored in `precision`, for a `reference` that is not. Where bits count, they
+    /// are those of the reference rounded to the nearest.
+    pub(crate) fn stored(self, reference: &Value, precision: Precision) -> Self {
+        let Value::F32(reference) = reference else { return self };
+        if precision == Precision::F32 {
+            return self;
+        }
+        let rounded = precision.decode(&precision.encode(reference.data()));
+        let limits = reference.data().iter().zip(rounded).enumerate();
+        let limits = limits.map(|(i, (x, rounded))| match (f64::from(*x), &self) {
+            (x, Self::Exact) => (f64::from(rounded) - x).abs(),
+            (x, own) => precision.stored_error(x, own.limit(i)),
+        });
+        Self::Each(limits.collect())
     }
 
     /// The error of element `i` and the most that it may be; an error that is not a number is above

@@ -8,7 +8,7 @@ use smr_gpu::gpu::Gpu;
 use smr_gpu::lower::Choice;
 use smr_gpu::tradeoff::{Measured, Setup, Table, digest};
 use smr_gpu::tune::Place;
-use smr_gpu::{Config, Device, WeightSource};
+use smr_gpu::{Config, Device, Precision, WeightSource};
 
 use super::super::detector::{open_gpu, weight_file};
 use super::super::exit::{Exit, Failure};
@@ -45,6 +45,7 @@ impl Plan {
             device: device.into(),
             kernels: Vec::new(),
             batch: 1,
+            precision: Precision::F32,
         };
         let mut single = vec![base.clone()];
         single.extend(
@@ -54,6 +55,7 @@ impl Plan {
         single.push(Setup { batch: BATCH, ..base.clone() });
         if gpu.is_some() {
             single.push(Setup { device: "cpu".into(), ..base.clone() });
+            single.push(Setup { precision: Precision::F16, ..base.clone() });
             single.extend(FAMILIES.map(|family| {
                 let kernels = family.iter().map(|id| (*id).to_owned()).collect();
                 Setup { kernels, ..base.clone() }
@@ -79,6 +81,7 @@ impl Plan {
                         device: c.device.clone(),
                         kernels: if c.device == "gpu" { c.kernels.clone() } else { Vec::new() },
                         batch: c.batch,
+                        precision: c.precision,
                     };
                     if !measured.contains(&setup.name()) && !found.contains(&setup) {
                         found.push(setup);
@@ -143,6 +146,7 @@ pub(in crate::cli) fn configured(
 ) -> Result<(Config, Option<Place>), Failure> {
     config.weights = WeightSource::File(weight_file(Some(Path::new(&setup.weights)))?);
     config.input_size = setup.size;
+    config.precision = setup.precision;
     config.device = setup.device.parse::<Device>()?;
     config.choice = Choice { forced: setup.kernels.clone(), ..Choice::default() };
     config.in_flight = config.in_flight.max(setup.batch.min(4));

@@ -1,4 +1,4 @@
-//! How a tensor's values lie on a device.
+//! How a tensor's values lie on a device. A layout of maps is stored in either [`Precision`].
 
 use crate::kernels::{Caps, MAX_WORKGROUPS};
 use crate::precision::Precision;

@@ -4,11 +4,12 @@
 //! outside its picture or an id that two things share, is refused by name; what it defines, crowds
 //! and areas, is kept for [`crate::metrics`].
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fmt::Display;
 use std::path::{Component, Path, PathBuf};
 
 use serde::Deserialize;
+use serde_json::Value;
 
 use crate::metrics::Truth;
 use crate::model::MAX_PIXELS;
@@ -34,6 +35,37 @@ impl Error {
     }
 }
 
+/// Something that a label says beside the box.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Attribute {
+    /// Yes or no.
+    Flag(bool),
+    /// A number, in the unit that its name ends in.
+    Number(f64),
+    /// A word.
+    Text(String),
+}
+
+/// What labels say beside boxes, by name.
+pub type Attributes = BTreeMap<String, Attribute>;
+
+impl Attribute {
+    /// What is neither a flag, a number nor a word says nothing.
+    fn of(value: &Value) -> Option<Self> {
+        match value {
+            Value::Bool(flag) => Some(Self::Flag(*flag)),
+            Value::Number(number) => number.as_f64().map(Self::Number),
+            Value::String(text) => Some(Self::Text(text.clone())),
+            _ => None,
+        }
+    }
+
+    /// The number, if it is one.
+    pub fn number(&self) -> Option<f64> {
+        if let Self::Number(number) = self { Some(*number) } else { None }
+    }
+}
+
 /// Labelled pictures.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Dataset {
@@ -56,6 +88,8 @@ pub struct Picture {
     pub size: Option<(u32, u32)>,
     /// Millimetres on the gel for a pixel, where they are stated.
     pub mm_per_pixel: Option<f32>,
+    /// Under which conditions it was taken, by the names that `smr-gpu simulate` writes.
+    pub conditions: Attributes,
     /// What it shows.
     pub labels: Vec<Label>,
 }
@@ -69,6 +103,9 @@ pub struct Label {
     pub category: usize,
     /// Where it is, in pixels of the picture.
     pub truth: Truth,
+    /// What is known of it besides, where it is stated: those of `whole`, `visible`, `depth_mm`,
+    /// `slots`, `hole_mm`, `wall`, `on_side` and `yaw_deg`, as `smr-gpu simulate` writes them.
+    pub attributes: Attributes,
 }
 
 #[derive(Deserialize)]
@@ -85,6 +122,8 @@ struct CocoImage {
     width: Option<u32>,
     height: Option<u32>,
     mm_per_pixel: Option<f32>,
+    /// What other tools call so may be anything.
+    conditions: Option<Value>,
 }
 
 #[derive(Deserialize)]
@@ -95,7 +134,34 @@ struct CocoAnnotation {
     /// Left, top, width, height in pixels.
     bbox: [f64; 4],
     area: Option<f64>,
-    iscrowd: Option<serde_json::Value>,
+    iscrowd: Option<Value>,
+    whole: Option<Value>,
+    visible: Option<Value>,
+    depth_mm: Option<Value>,
+    slots: Option<Value>,
+    hole_mm: Option<Value>,
+    wall: Option<Value>,
+    on_side: Option<Value>,
+    yaw_deg: Option<Value>,
+}
+
+impl CocoAnnotation {
+    fn attributes(&self) -> Attributes {
+        let named = [
+            ("whole", &self.whole),
+            ("visible", &self.visible),
+            ("depth_mm", &self.depth_mm),
+            ("slots", &self.slots),
+            ("hole_mm", &self.hole_mm),
+            ("wall", &self.wall),
+            ("on_side", &self.on_side),
+            ("yaw_deg", &self.yaw_deg),
+        ];
+        let stated = named
+            .into_iter()
+            .filter_map(|(name, value)| Some((name.to_owned(), Attribute::of(value.as_ref()?)?)));
+        stated.collect()
+    }
 }
 
 #[derive(Deserialize)]
@@ -137,7 +203,8 @@ pub fn parse(bytes: &[u8]) -> Result<Dataset, Error> {
         let picture =
             picture.ok_or_else(|| Error::new(&name, "the image_id of an image", image_id))?;
         let truth = truth(&name, &annotation)?;
-        picture.labels.push(Label { name, category, truth });
+        let attributes = annotation.attributes();
+        picture.labels.push(Label { name, category, truth, attributes });
     }
     for picture in &pictures {
         match picture.size {
@@ -169,7 +236,7 @@ fn categories(categories: Vec<CocoCategory>) -> Result<(HashMap<u64, usize>, Vec
 fn pictures(images: Vec<CocoImage>) -> Result<Vec<Picture>, Error> {
     let mut pictures = Vec::with_capacity(images.len());
     let mut owner_of: HashMap<PathBuf, u64> = HashMap::new();
-    for CocoImage { id, file_name, width, height, mm_per_pixel } in images {
+    for CocoImage { id, file_name, width, height, mm_per_pixel, conditions } in images {
         let name = format!("image {id}");
         let file = below(&file_name).ok_or_else(|| {
             Error::new(&name, "a file_name inside the folder", format!("`{file_name}`"))
@@ -185,7 +252,12 @@ fn pictures(images: Vec<CocoImage>) -> Result<Vec<Picture>, Error> {
             let expected = format!("1 to {MAX_PIXELS} pixels");
             return Err(Error::new(name, expected, format!("{w} × {h}")));
         }
-        pictures.push(Picture { id, file, size, mm_per_pixel, labels: Vec::new() });
+        let conditions = conditions.as_ref().and_then(Value::as_object).into_iter().flatten();
+        let conditions = conditions
+            .filter_map(|(name, value)| Some((name.clone(), Attribute::of(value)?)))
+            .collect();
+        let labels = Vec::new();
+        pictures.push(Picture { id, file, size, mm_per_pixel, conditions, labels });
     }
     pictures.sort_by_key(|p| p.id);
     match pictures.windows(2).find(|pair| pair[0].id == pair[1].id) {
@@ -227,7 +299,7 @@ fn truth(name: &str, annotation: &CocoAnnotation) -> Result<Truth, Error> {
             None => return Err(Error::new(name, "an iscrowd of 0 or 1", value)),
         },
     };
-    Ok(Truth { bbox, area, crowd })
+    Ok(Truth { bbox, area, crowd, ignored: false })
 }
 
 fn flag(number: u64) -> Option<bool> {

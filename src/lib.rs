@@ -54,6 +54,7 @@
 //! | [`simulator`] | the simulated sensor: gel, contact, optics, camera, snaps |
 //! | [`coco`] | labelled pictures from COCO annotations |
 //! | [`metrics`] | intersection over union, average precision, centre error |
+//! | [`evaluation`] | figures with their intervals, by condition; calibration of scores and deviations |
 //! | [`tradeoff`] | error against run time, and which way to run a network to choose |
 //!
 //! An operation is one stem in five places: `wgsl/conv2d/`, `src/kernels/conv2d/`,
@@ -74,6 +75,8 @@ pub mod comparison;
 pub mod cpu;
 pub mod detector;
 pub mod error;
+#[cfg(feature = "eval")]
+pub mod evaluation;
 pub mod files;
 pub mod frame;
 pub mod gpu;

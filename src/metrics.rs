@@ -32,12 +32,14 @@ pub struct Truth {
     /// COCO's `iscrowd`: not one thing but a place with several. Whether one is found there counts
     /// neither way.
     pub crowd: bool,
+    /// One thing that was not asked for: whether it is found counts neither way.
+    pub ignored: bool,
 }
 
 impl Truth {
     /// One thing that fills its box.
     pub fn new(bbox: [f64; 4]) -> Self {
-        Self { bbox, area: box_area(bbox), crowd: false }
+        Self { bbox, area: box_area(bbox), crowd: false, ignored: false }
     }
 
     /// Overlap with a found box: intersection over union, of which a crowd's is the found box's own
@@ -109,7 +111,7 @@ pub struct PictureBoxes {
 const MAX_FOUND: usize = 100;
 
 impl PictureBoxes {
-    /// For each truth but crowds the found box that overlaps it most, among those with a score
+    /// For each truth that counts the found box that overlaps it most, among those with a score
     /// above `score`, and their intersection over union; `None` where none overlaps.
     pub fn best(&self, score: f64) -> Vec<(Truth, Option<(ScoredBox, f64)>)> {
         let best_of = |truth: &Truth| {
@@ -119,7 +121,8 @@ impl PictureBoxes {
                 .filter(|(_, iou)| *iou > 0.0)
                 .max_by(|a, b| a.1.total_cmp(&b.1))
         };
-        self.truths.iter().filter(|t| !t.crowd).map(|t| (*t, best_of(t))).collect()
+        let asked = self.truths.iter().filter(|t| !t.crowd && !t.ignored);
+        asked.map(|t| (*t, best_of(t))).collect()
     }
 
     /// The same with the found boxes that have a score above `score` alone.
@@ -130,7 +133,7 @@ impl PictureBoxes {
 
     /// Which truths are ignored.
     fn ignored(&self, areas: Areas) -> Vec<bool> {
-        self.truths.iter().map(|t| t.crowd || !areas.count(t.area)).collect()
+        self.truths.iter().map(|t| t.crowd || t.ignored || !areas.count(t.area)).collect()
     }
 
     /// The found boxes' scores, best first, each with what it is: as in the COCO evaluation, each
@@ -170,35 +173,76 @@ impl PictureBoxes {
         let hits = self.hits(iou, Areas::ALL);
         hits.iter().filter(|(s, hit)| *s > score && *hit == Hit::Wrong).count()
     }
+
+    /// The found boxes that count, best first: score, and whether it takes a truth at `iou`.
+    pub fn judged(&self, iou: f64) -> Vec<(f64, bool)> {
+        let hits = self.hits(iou, Areas::ALL).into_iter();
+        let counted = hits.filter(|(_, hit)| *hit != Hit::Ignored);
+        counted.map(|(score, hit)| (score, hit == Hit::Right)).collect()
+    }
 }
 
-/// Average precision of one class at one threshold of overlap, as the COCO evaluation defines it:
-/// the mean of the highest precision at or beyond each of 101 recalls. Equal scores count in the
-/// order of `pictures`, which pycocotools takes in the order of their ids. `None` without truths.
+/// The found boxes of many pictures that count, best first: all that average precision asks of them.
+#[derive(Clone, Debug, Default)]
+pub struct Ranking {
+    /// Truths that count, by picture.
+    truths: Vec<usize>,
+    /// Picture, score, whether it takes a truth.
+    hits: Vec<(usize, f64, bool)>,
+}
+
+impl Ranking {
+    /// Of one class at one threshold of overlap. Equal scores stay in the order of `pictures`.
+    pub fn new(pictures: &[PictureBoxes], iou: f64, areas: Areas) -> Self {
+        let wanted =
+            |p: &PictureBoxes| p.ignored(areas).iter().filter(|ignored| !**ignored).count();
+        let truths = pictures.iter().map(wanted).collect();
+        let hits = pictures.iter().enumerate().flat_map(|(i, p)| {
+            let counted = p.hits(iou, areas).into_iter().filter(|(_, hit)| *hit != Hit::Ignored);
+            counted.map(move |(score, hit)| (i, score, hit == Hit::Right))
+        });
+        let mut hits: Vec<_> = hits.collect();
+        hits.sort_by(|a, b| b.1.total_cmp(&a.1));
+        Self { truths, hits }
+    }
+
+    /// Average precision as the COCO evaluation defines it: the mean of the highest precision at or
+    /// beyond each of 101 recalls. Picture `i` counts `copies(i)` times, as if it were there so often.
+    /// `None` without truths.
+    pub fn average_precision(&self, copies: impl Fn(usize) -> usize) -> Option<f64> {
+        let truths: usize = self.truths.iter().enumerate().map(|(i, n)| n * copies(i)).sum();
+        if truths == 0 {
+            return None;
+        }
+        let (mut right, mut shown) = (0, 0);
+        let mut curve: Vec<(f64, f64)> = Vec::with_capacity(self.hits.len());
+        for (picture, _, is_right) in &self.hits {
+            // Of equal ones in a row the last decides: right ones raise the precision, and wrong ones'
+            // is hidden behind the higher one before.
+            let n = copies(*picture);
+            if n > 0 {
+                shown += n;
+                right += if *is_right { n } else { 0 };
+                curve.push((right as f64 / truths as f64, right as f64 / shown as f64));
+            }
+        }
+        for i in (1..curve.len()).rev() {
+            curve[i - 1].1 = curve[i - 1].1.max(curve[i].1);
+        }
+        let precision_at = |recall: f64| {
+            let first = curve.partition_point(|(r, _)| *r < recall);
+            curve.get(first).map_or(0.0, |(_, precision)| *precision)
+        };
+        // The recalls as numpy's linspace rounds them.
+        Some((0..=100).map(|i| precision_at(f64::from(i) * 0.01)).sum::<f64>() / 101.0)
+    }
+}
+
+/// Average precision of one class at one threshold of overlap, [`Ranking::average_precision`]. Equal
+/// scores count in the order of `pictures`, which pycocotools takes in the order of their ids. `None`
+/// without truths.
 pub fn average_precision(pictures: &[PictureBoxes], iou: f64, areas: Areas) -> Option<f64> {
-    let wanted = |p: &PictureBoxes| p.ignored(areas).iter().filter(|ignored| !**ignored).count();
-    let truths: usize = pictures.iter().map(wanted).sum();
-    if truths == 0 {
-        return None;
-    }
-    let mut hits: Vec<(f64, Hit)> = pictures.iter().flat_map(|p| p.hits(iou, areas)).collect();
-    hits.retain(|(_, hit)| *hit != Hit::Ignored);
-    hits.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let mut right = 0;
-    let mut curve: Vec<(f64, f64)> = Vec::with_capacity(hits.len());
-    for (shown, (_, hit)) in (1..).zip(&hits) {
-        right += usize::from(*hit == Hit::Right);
-        curve.push((right as f64 / truths as f64, right as f64 / f64::from(shown)));
-    }
-    for i in (1..curve.len()).rev() {
-        curve[i - 1].1 = curve[i - 1].1.max(curve[i].1);
-    }
-    let precision_at = |recall: f64| {
-        let first = curve.partition_point(|(r, _)| *r < recall);
-        curve.get(first).map_or(0.0, |(_, precision)| *precision)
-    };
-    // The recalls as numpy's linspace rounds them.
-    Some((0..=100).map(|i| precision_at(f64::from(i) * 0.01)).sum::<f64>() / 101.0)
+    Ranking::new(pictures, iou, areas).average_precision(|_| 1)
 }
 
 /// The overlaps 0.50, 0.55, … 0.95, as numpy's `linspace(0.5, 0.95, 10)` rounds them: a box whose

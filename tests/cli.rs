@@ -475,6 +475,63 @@ fn evaluation_counts_misses_and_names_unreadable_pictures() {
     run(folder.path(), &["eval", "--data", "nowhere"]).expect(1).tells("nowhere");
 }
 
+/// Two sets: a snap that nobody finds in a ramp, and a ramp without one.
+fn two_sets() -> tempfile::TempDir {
+    let folder = folder();
+    for (set, snaps) in [("one", 1), ("none", 0)] {
+        fs::create_dir(folder.path().join(set)).expect("created");
+        ramp(80, 80).save(folder.path().join(set).join("0.png")).expect("saved");
+        let snap = serde_json::json!({"id": 1, "image_id": 7, "category_id": 1,
+            "bbox": [70, 0, 2, 2], "depth_mm": 0.5, "yaw_deg": 30, "whole": true});
+        let labels = serde_json::json!({
+            "categories": [{"id": 1, "name": "A"}],
+            "images": [{"id": 7, "file_name": "0.png", "mm_per_pixel": 0.5,
+                "conditions": {"markers_mm": 2.0 * f64::from(snaps)}}],
+            "annotations": vec![snap; snaps as usize]
+        });
+        let file = folder.path().join(set).join("annotations.json");
+        fs::write(file, labels.to_string()).expect("written");
+    }
+    folder
+}
+
+#[test]
+fn evaluation_of_several_sets_is_one_table() {
+    let folder = two_sets();
+    let arguments = ["eval", "--data", "one", "none", "--device", "cpu"];
+    let ran = run(folder.path(), &[&arguments[..], &["--by-condition", "--calibration"]].concat());
+    let ran = ran.expect(0).tells("0 false boxes in 0 of 1 picture without a snap");
+    let rows: Vec<Vec<&str>> =
+        ran.stdout.lines().map(|line| line.split('|').map(str::trim).collect()).collect();
+    let cell = |name: &str, column: usize| {
+        let row = rows.iter().find(|row| row.get(1) == Some(&name));
+        row.unwrap_or_else(|| panic!("no {name} in {}", ran.stdout))[column]
+    };
+    assert_eq!((cell("set", 2), cell("set", 4)), ("pictures", "IoU, %"));
+    assert_eq!((cell("one", 2), cell("one", 3), cell("one", 4)), ("1", "1", "0.00 (0.0–0.0)"));
+    assert_eq!((cell("none", 3), cell("none", 4), cell("none", 11)), ("0", "-", "0 in 0 of 1"));
+    assert_eq!((cell("all", 2), cell("all", 3)), ("2", "1"));
+    assert_eq!(cell("markers' pitch, mm: without", 2), "1");
+    assert_eq!(cell("markers' pitch, mm: 2 to 3", 3), "1");
+    assert!(ran.stdout.contains("expected calibration error: "), "{}", ran.stdout);
+
+    let ran = run(folder.path(), &[&arguments[..], &["--json", "--save", "worst"]].concat());
+    let reports = ran.expect(0).json();
+    let names: Vec<&Value> = reports.iter().map(|report| &report["data"]).collect();
+    assert_eq!(names, ["one", "none", "all"]);
+    assert_eq!(reports[2]["all"]["without_snap"]["pictures"], 1);
+    assert_eq!(reports[2]["conditions"][0]["condition"], "markers' pitch, mm");
+    assert_eq!(reports[0]["all"]["interval_95"]["mean_best_iou"], serde_json::json!([0.0, 0.0]));
+    // The set without a mistake has no worst picture.
+    let sheet = image::open(folder.path().join("worst/worst-one.png")).expect("a picture");
+    assert_eq!((sheet.width(), sheet.height()), (416, 440));
+    assert!(!folder.path().join("worst/worst-none.png").exists());
+
+    // A mistake in the last set is told before the first is looked at.
+    let ran = run(folder.path(), &["eval", "--data", "one", "nowhere", "--json"]);
+    assert_eq!(ran.expect(1).tells("nowhere").stdout, "");
+}
+
 #[cfg(unix)]
 #[test]
 fn no_input_is_overwritten() {

@@ -177,3 +177,25 @@ fn what_would_enter_the_figures_unseen_is_refused_by_name() {
     let deep = "[".repeat(1 << 20);
     assert!(coco::parse(deep.as_bytes()).is_err());
 }
+
+/// What `smr-gpu simulate` writes beside boxes; from other tools the same names may hold anything.
+#[test]
+fn attributes_are_read_and_those_of_other_tools_passed_over() {
+    let stated = changed(|v| {
+        v["images"][0]["conditions"] = json!({"markers_mm": 2, "housing": true, "optics": "lamps", "jpeg": null, "window": [0]});
+        v["images"][1]["conditions"] = json!("rain");
+        let label = v["annotations"][0].as_object_mut().expect("an object");
+        let more = json!({"whole": false, "depth_mm": 0.5, "slots": 4, "yaw_deg": null, "wall": [1],
+            "keypoints": [1, 2]});
+        label.extend(more.as_object().expect("an object").clone());
+    });
+    let data = parse(&stated).expect("annotations");
+    let [b, a] = &data.pictures[..] else { panic!("two pictures: {data:?}") };
+    let names = |attributes: &coco::Attributes| attributes.keys().cloned().collect::<Vec<_>>();
+    assert_eq!(names(&a.conditions), ["housing", "markers_mm", "optics"]);
+    assert_eq!(a.conditions["markers_mm"], coco::Attribute::Number(2.0));
+    assert_eq!(a.conditions["optics"], coco::Attribute::Text("lamps".into()));
+    assert_eq!(names(&a.labels[0].attributes), ["depth_mm", "slots", "whole"]);
+    assert_eq!(a.labels[0].attributes["whole"], coco::Attribute::Flag(false));
+    assert!(b.conditions.is_empty() && b.labels[0].attributes.is_empty());
+}

@@ -2,7 +2,7 @@
 //! befell, or is made good, and the next run is right.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use smr_gpu::gpu::{
     AdapterChoice, Call, Deadline, Fault, Faults, Gpu, GpuOptions, ProgramOptions, Slot,
@@ -159,7 +159,8 @@ fn a_slot_waits_for_a_late_run_no_longer_than_it_may() {
     let gpu = open(&faults);
     let mut slot = small.slot(&gpu).expect("a slot");
     let want = small.run(&mut slot).expect("a run");
-    let fault = Fault::Late(Duration::from_millis(500));
+    // Later than both waits end, however slow the machine.
+    let fault = Fault::Late(Duration::from_secs(4));
     faults.fail(Call::Map, 0, fault);
     let soon = || Deadline::after(Duration::from_millis(20));
     slot.submit(&[&[(small.input, &small.value)]]).expect("submitted");
@@ -303,18 +304,22 @@ fn a_lost_device_is_replaced_where_that_is_wanted_and_allowed() {
 fn a_time_limit_counts_from_the_call_and_says_what_it_waited_for() {
     let _one = alone();
     let faults = Faults::default();
+    let frame = frame(80, 70, 1);
+    let patient = GpuDetector::new(with_faults(&faults, |c| c)).expect("a detector");
+    detect(&patient, &frame).expect("what a driver compiles first");
+    let start = Instant::now();
+    let want = detect(&patient, &frame).expect("a detection");
+    drop(patient);
     // Long enough for a run on a machine with other work.
-    let limit = Duration::from_secs(3);
+    let limit = Duration::from_secs(3).max(20 * start.elapsed());
     let change = |c: Config| c.timeout(limit).in_flight(1);
     let detector = GpuDetector::new(with_faults(&faults, change)).expect("a detector");
-    let frame = frame(80, 70, 1);
-    let want = detect(&detector, &frame).expect("a detection");
-    // Past the limits of this call and the next.
-    faults.fail(Call::Map, 0, Fault::Late(limit * 9 / 4));
+    // Past the limits of this call and the next two, which begin while it waits or thereafter.
+    faults.fail(Call::Map, 0, Fault::Late(limit * 5));
     std::thread::scope(|scope| {
         let first = scope.spawn(|| detect(&detector, &frame));
         while faults.is_due() {
-            std::thread::yield_now();
+            std::thread::sleep(Duration::from_millis(1));
         }
         // It gets no further than the queue: the limit counts there, too.
         let queued = scope.spawn(|| detect(&detector, &frame));
@@ -326,7 +331,12 @@ fn a_time_limit_counts_from_the_call_and_says_what_it_waited_for() {
     // It waits for the abandoned run no longer than for one of its own.
     let next = detect(&detector, &frame).expect_err("the device is not back");
     assert!(next.to_string().contains("the device has not come back"), "{next}");
-    assert_eq!(detect(&detector, &frame).expect("the device is back"), want);
+    // What came late is over in two more.
+    let found = (0..5).find_map(|_| match detect(&detector, &frame) {
+        Err(Error::Timeout { .. }) => None,
+        other => Some(other),
+    });
+    assert_eq!(found.expect("the device is back").expect("a detection"), want);
 }
 
 #[test]

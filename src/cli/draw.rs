@@ -63,6 +63,19 @@ impl<'a> Artist<'a> {
         canvas
     }
 
+    /// Draws a box's edge with a dark rim.
+    pub fn outline(canvas: &mut RgbImage, bbox: [f32; 4], colour: Rgb<u8>) {
+        let corners = bbox.map(|v| v.round() as i32);
+        frame(canvas, corners, 3, BLACK);
+        frame(canvas, corners, 1, colour);
+    }
+
+    /// Writes a line of text, `height` pixels high, to the right of and below a corner.
+    pub fn caption(&self, canvas: &mut RgbImage, corner: [u32; 2], height: u32, text: &str) {
+        let [x, y] = corner.map(|v| v as i32);
+        draw_text_mut(canvas, BLACK, x, y, height as f32 * 0.7, &self.font, text);
+    }
+
     /// Name and score on a filled ground: above the box, or wherever next to it lies in the picture.
     fn label(
         &self,

@@ -80,6 +80,8 @@ pub struct AdapterReport {
 
 /// Longest wait for the work under way when a device is closed, if its own limit is not longer.
 const LAST_WAIT: Duration = Duration::from_secs(10);
+/// The same on the host's own cores, whose work always ends: the process crashes if it ends first.
+const LAST_SOFTWARE_WAIT: Duration = Duration::from_secs(120);
 
 /// Bytes of weights that may wait to be uploaded.
 const UPLOAD_BYTES: u64 = 16 << 20;
@@ -654,7 +656,11 @@ impl Drop for Gpu {
     /// A process that exits while a software driver still works can crash: wait for it, but not for
     /// ever.
     fn drop(&mut self) {
-        let timeout = self.timeout().max(LAST_WAIT);
+        let wait = match self.info.device_type {
+            wgpu::DeviceType::Cpu => LAST_SOFTWARE_WAIT,
+            _ => LAST_WAIT,
+        };
+        let timeout = self.timeout().max(wait);
         let wait = wgpu::PollType::Wait { submission_index: None, timeout: Some(timeout) };
         if let Err(wgpu::PollError::Timeout) = native::poll(&self.device, wait, &self.loss) {
             // To drop the queue would wait without a limit: a device that hangs keeps its own.

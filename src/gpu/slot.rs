@@ -49,7 +49,8 @@ pub struct Slot {
     given: HashMap<(TensorId, u32), wgpu::Buffer>,
     /// For each step, its bindings; none for copies, and before they are needed.
     groups: Vec<Option<wgpu::BindGroup>>,
-    staging: wgpu::Buffer,
+    /// None after a run that failed, until the next.
+    staging: Option<wgpu::Buffer>,
     staging_bytes: u64,
     timestamps: Option<Timestamps>,
     poison: Poison,
@@ -130,18 +131,12 @@ impl Slot {
             Timestamps { set, resolve, offset }
         });
         let staging_bytes = staging_bytes.max(4);
-        let staging = gpu.create_buffer(wgpu::BufferDescriptor {
-            label: Some("staging"),
-            size: staging_bytes,
-            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
         Self {
             program: program.clone(),
             storage,
             given: HashMap::new(),
             groups: program.steps.iter().map(|_| None).collect(),
-            staging,
+            staging: Some(staging(gpu, staging_bytes)),
             staging_bytes,
             timestamps,
             poison: Poison::default(),
@@ -192,11 +187,11 @@ impl Slot {
     pub async fn recover(&mut self, deadline: Deadline) -> Result<()> {
         if let Some(landing) = &self.in_flight {
             match landing.wait(&self.program.gpu, deadline, "an earlier picture").await {
+                Ok(()) => self.unmap(),
                 // What became of that run concerns nobody.
-                Ok(()) | Err(Error::Driver { .. }) => {}
+                Err(Error::Driver { .. }) => self.give_staging_up(),
                 Err(e) => return Err(e),
             }
-            self.unmap();
             self.in_flight = None;
         }
         Ok(())
@@ -231,8 +226,10 @@ impl Slot {
                 }
             }
             self.bind();
-            let submission = gpu.submit(Some(self.encode()));
-            Ok(Landing::new(gpu, &self.staging, self.staging_bytes, submission, start))
+            let bytes = self.staging_bytes;
+            let staging = self.staging.get_or_insert_with(|| staging(gpu, bytes)).clone();
+            let submission = gpu.submit(Some(self.encode(&staging)));
+            Ok(Landing::new(gpu, &staging, bytes, submission, start))
         }));
         self.in_flight = Some(landing.inspect_err(|_| self.forget())?);
         Ok(())
@@ -243,13 +240,23 @@ impl Slot {
     fn forget(&mut self) {
         self.groups.fill(None);
         self.given.clear();
-        self.unmap();
+        self.give_staging_up();
     }
 
     /// Gives the staging buffer back to the device. That it was not mapped, because the run or the map
     /// failed, has been told already.
     fn unmap(&self) {
-        self.program.gpu.unheard(|| self.staging.unmap());
+        if let Some(staging) = &self.staging {
+            self.program.gpu.unheard(|| staging.unmap());
+        }
+    }
+
+    /// After a run that failed the next one takes another staging buffer: wgpu 30 keeps a map that was
+    /// given up with its submission, and when that ends, answers the buffer's next map, which is that of
+    /// a run still under way (`Buffer::map` of wgpu-core knows the buffer and not the map).
+    fn give_staging_up(&mut self) {
+        self.unmap();
+        self.staging = None;
     }
 
     fn check(&self, inputs: &Inputs) -> Result<()> {
@@ -402,7 +409,7 @@ impl Slot {
         }
     }
 
-    fn encode(&self) -> wgpu::CommandBuffer {
+    fn encode(&self, staging: &wgpu::Buffer) -> wgpu::CommandBuffer {
         let program = &self.program;
         let mut encoder = program.gpu.device.create_command_encoder(&Default::default());
         for (index, (_, range)) in program.stages.iter().enumerate() {
@@ -450,7 +457,7 @@ impl Slot {
                 }
             }
         }
-        self.read_back(&mut encoder);
+        self.read_back(&mut encoder, staging);
         encoder.finish()
     }
 
@@ -489,7 +496,7 @@ impl Slot {
         encoder.copy_buffer_to_texture(from, to.as_image_copy(), size);
     }
 
-    fn read_back(&self, encoder: &mut wgpu::CommandEncoder) {
+    fn read_back(&self, encoder: &mut wgpu::CommandEncoder, staging: &wgpu::Buffer) {
         let program = &self.program;
         let guard = if program.options.guard { GUARD_BYTES } else { 0 };
         for output in &program.outputs {
@@ -497,11 +504,11 @@ impl Slot {
                 continue;
             };
             let Some(Resource::Buffer(buffer)) = self.resource(output.place, 0) else { continue };
-            encoder.copy_buffer_to_buffer(&buffer, 0, &self.staging, output.offset, bytes + guard);
+            encoder.copy_buffer_to_buffer(&buffer, 0, staging, output.offset, bytes + guard);
         }
         if let Some(t) = &self.timestamps {
             encoder.resolve_query_set(&t.set, 0..(t.resolve.size() / 8) as u32, &t.resolve, 0);
-            encoder.copy_buffer_to_buffer(&t.resolve, 0, &self.staging, t.offset, t.resolve.size());
+            encoder.copy_buffer_to_buffer(&t.resolve, 0, staging, t.offset, t.resolve.size());
         }
     }
 
@@ -518,26 +525,30 @@ impl Slot {
         if let Err(e) = landing.wait(&gpu, deadline, "the network").await {
             match e {
                 Error::Timeout { .. } => self.in_flight = Some(landing),
-                _ => self.unmap(),
+                _ => self.give_staging_up(),
             }
             return Err(e);
         }
         let output = self.read(&landing);
-        self.unmap();
-        if let Err(Error::Driver { .. }) = output {
-            // A device may be lost after the map.
-            gpu.check_alive()?;
+        match &output {
+            Err(Error::Driver { .. }) => {
+                self.give_staging_up();
+                // A device may be lost after the map.
+                gpu.check_alive()?;
+            }
+            _ => self.unmap(),
         }
         output
     }
 
     fn read(&self, landing: &Landing) -> Result<RunOutput> {
-        let slice = self.staging.slice(..self.staging_bytes);
-        let refused = |e: wgpu::MapRangeError| {
-            let stage = "reading what the network gave".into();
-            Error::Driver { stage, message: e.to_string() }
+        let refused = |message: String| Error::Driver {
+            stage: "reading what the network gave".into(),
+            message,
         };
-        let bytes = slice.get_mapped_range().map_err(refused)?;
+        let staging = self.staging.as_ref().ok_or_else(|| refused("it was given up".into()))?;
+        let slice = staging.slice(..self.staging_bytes);
+        let bytes = slice.get_mapped_range().map_err(|e| refused(e.to_string()))?;
         let values = (0..self.program.batch).map(|picture| self.collect(&bytes, picture));
         let values = values.collect::<Result<_>>()?;
         let stages = self.times(&self.program.gpu, &bytes);
@@ -608,4 +619,13 @@ impl Slot {
             })
             .collect()
     }
+}
+
+fn staging(gpu: &Gpu, bytes: u64) -> wgpu::Buffer {
+    gpu.create_buffer(wgpu::BufferDescriptor {
+        label: Some("staging"),
+        size: bytes,
+        usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    })
 }

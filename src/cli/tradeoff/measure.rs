@@ -312,8 +312,7 @@ fn quality(found: &[Detections], samples: &[Sample], classes: &[String]) -> Opti
             let boxes = of_class
                 .map(|d| ScoredBox { bbox: d.bbox.map(f64::from), score: d.score.into() })
                 .collect();
-            let picture =
-                PictureBoxes { truths: sample.labelled.truths[index].clone(), found: boxes };
+            let picture = PictureBoxes { truths: sample.labelled.truths(index), found: boxes };
             for (truth, best) in picture.best(SCORE.into()) {
                 overlaps.push(best.map_or(0.0, |(_, iou)| iou));
                 if let Some((right, _)) = best.filter(|(_, iou)| *iou >= SAME) {

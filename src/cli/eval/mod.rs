@@ -1,0 +1,355 @@
+//! `smr-gpu eval`: how good the detections are on labelled pictures.
+
+mod print;
+mod sheet;
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use smr_gpu::coco::{self, Attribute, Picture};
+use smr_gpu::evaluation::{
+    Deviations, Figures, Found, LEAST_SCORE, Reliability, Seen, Snap, Stratum, by_condition,
+    deviations, figures, reliability,
+};
+use smr_gpu::files::{self, Outputs};
+use smr_gpu::metrics::{ScoredBox, Truth};
+use smr_gpu::{Detections, Frame, GpuDetector};
+
+use super::detector::{self, DetectorArgs, fraction};
+use super::draw::Gallery;
+use super::exit::{Exit, Failure};
+use super::output::{json_line, tell};
+use super::picture;
+use super::source::Source;
+
+/// Longest annotations.json: COCO's own of 118 thousand pictures is half as long.
+const MAX_ANNOTATIONS: u64 = 1 << 30;
+/// The paper's results by class, in percent: mean IoU and mean average precision.
+const PAPER: [(&str, f64, f64); 2] = [("A", 91.78, 99.3), ("B", 92.12, 99.4)];
+/// What all sets together are called.
+const TOGETHER: &str = "all";
+
+/// Measure the detections against labelled pictures
+///
+/// Reads DIR/annotations.json (COCO) and the pictures it names, in DIR or DIR/images. For each
+/// class: mean best-box IoU (a miss counts 0), AP50, AP50:95 as the COCO evaluation defines them,
+/// and the centre and yaw errors of the right boxes, with intervals of 95 % (bootstrap over pictures).
+/// Crowds are ignored, and so is what is found there. Of several folders a Markdown table, a row each.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Folders with annotations.json and the pictures.
+    #[arg(long, value_name = "DIR", required = true, num_args = 1..)]
+    data: Vec<PathBuf>,
+
+    /// Best boxes, errors and false alarms are of detections with a score above this (0 to 1).
+    /// Average precision and calibration look at all above 0.05.
+    #[arg(long, default_value_t = 0.5, value_name = "SCORE", value_parser = fraction)]
+    conf: f32,
+
+    /// Look at the N pictures with the lowest ids alone, of each folder.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    limit: Option<u32>,
+
+    /// Show the paper's figures beside those of the classes A and B.
+    #[arg(long)]
+    paper: bool,
+
+    /// Take no notice of the scale that the labels state for a picture.
+    #[arg(long)]
+    unstated: bool,
+
+    /// A table by what the labels state: depth, cut, markers, shadows, scale and so on, of all folders
+    /// together.
+    #[arg(long)]
+    by_condition: bool,
+
+    /// Tables of how often boxes are right by score, and errors within their stated deviations, of all
+    /// folders together.
+    #[arg(long)]
+    calibration: bool,
+
+    /// Draw each folder's ten worst pictures into one, in this folder.
+    #[arg(long, value_name = "DIR")]
+    save: Option<PathBuf>,
+
+    /// Print one JSON object a folder, with all tables; of several folders also one of all together.
+    #[arg(long)]
+    json: bool,
+
+    #[command(flatten)]
+    detector: DetectorArgs,
+}
+
+/// A labelled picture: where it is, and what it shows.
+pub(super) struct Labelled {
+    pub source: Source,
+    pub picture: Picture,
+    pub snaps: Vec<Snap>,
+}
+
+impl Labelled {
+    /// What it shows of a class.
+    pub fn truths(&self, class: usize) -> Vec<Truth> {
+        self.snaps.iter().filter(|snap| snap.class == class).map(|snap| snap.truth).collect()
+    }
+}
+
+/// A set of pictures as it was looked at.
+struct Set {
+    name: String,
+    /// Of those that could be read, each with its place in the set.
+    seen: Vec<Seen>,
+    places: Vec<usize>,
+    failed: usize,
+    seconds: f64,
+}
+
+/// Figures of one class, or of all together.
+#[derive(Serialize)]
+struct Row {
+    class: String,
+    #[serde(flatten)]
+    figures: Figures,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    paper: Option<Paper>,
+}
+
+#[derive(Serialize)]
+struct Paper {
+    mean_iou: f64,
+    map: f64,
+}
+
+/// What the tables are made of.
+#[derive(Serialize)]
+struct Report<'a> {
+    data: String,
+    pictures: usize,
+    failed: usize,
+    conf: f32,
+    iou: f32,
+    adapter: &'a str,
+    seconds_per_picture: f64,
+    classes: Vec<Row>,
+    all: Row,
+    conditions: Vec<Stratum>,
+    reliability: Reliability,
+    deviations: Deviations,
+}
+
+pub(super) fn run(args: Args) -> Result<Exit, Failure> {
+    let mut config = args.detector.config()?;
+    config.score = args.conf.min(LEAST_SCORE as f32);
+    let nms_iou = config.iou;
+    let detector = detector::open(config)?;
+    let classes = detector.model().classes.clone();
+    // All labels first: a mistake in the last folder's costs no hour.
+    let labels = args.data.iter().map(|folder| {
+        let mut pictures = read_labels(folder, &classes)?;
+        pictures.truncate(args.limit.map_or(usize::MAX, |n| n as usize));
+        Ok((folder.display().to_string(), pictures))
+    });
+    let labels = labels.collect::<Result<Vec<_>, Failure>>()?;
+    let pictures = labels.iter().flat_map(|(_, pictures)| pictures);
+    let mut outputs = Outputs::sparing(pictures.filter_map(|l| match &l.source {
+        Source::File(path) => Some(path),
+        Source::Stdin => None,
+    }));
+    let mut gallery = args.save.as_deref().map(Gallery::create).transpose()?;
+
+    let several = labels.len() > 1;
+    let report = |set: &Set, conditions: bool| {
+        let paper = |class: &str| PAPER.iter().find(|(c, ..)| args.paper && *c == class);
+        let (conf, every): (f64, Vec<usize>) = (args.conf.into(), (0..classes.len()).collect());
+        let rows = classes.iter().enumerate().map(|(index, class)| Row {
+            class: class.clone(),
+            figures: figures(&set.seen, &[index], conf),
+            paper: paper(class)
+                .map(|(_, iou, map)| Paper { mean_iou: iou / 100.0, map: map / 100.0 }),
+        });
+        let figures = figures(&set.seen, &every, conf);
+        Report {
+            data: set.name.clone(),
+            pictures: set.seen.len(),
+            failed: set.failed,
+            conf: args.conf,
+            iou: nms_iou,
+            adapter: detector.adapter(),
+            seconds_per_picture: set.seconds / set.seen.len().max(1) as f64,
+            classes: rows.collect(),
+            all: Row { class: TOGETHER.into(), figures, paper: None },
+            conditions: match conditions {
+                true => by_condition(&set.seen, &every, conf),
+                false => Vec::new(),
+            },
+            reliability: reliability(&set.seen, classes.len()),
+            deviations: deviations(&set.seen, conf),
+        }
+    };
+    let progress = ProgressBar::new(labels.iter().map(|(_, p)| p.len() as u64).sum());
+    let progress = progress.with_style(style());
+    let mut together = Set {
+        name: TOGETHER.into(),
+        seen: Vec::new(),
+        places: Vec::new(),
+        failed: 0,
+        seconds: 0.0,
+    };
+    for (number, (name, pictures)) in labels.iter().enumerate() {
+        let set = look_at(&detector, name, pictures, args.unstated, &progress)?;
+        if let Some(gallery) = &mut gallery {
+            let looked_at = set.places.iter().map(|place| &pictures[*place]).zip(&set.seen);
+            let sheet = sheet::worst(&looked_at.collect::<Vec<_>>(), &classes, args.conf);
+            let stem = args.data[number].file_name().map(|n| n.to_string_lossy().into_owned());
+            let source = Source::File(format!("worst-{}.png", stem.unwrap_or_default()).into());
+            if let Some(sheet) = sheet {
+                gallery.save(&mut outputs, &source, &sheet)?;
+            }
+        }
+        if several {
+            // A set's lines come when it is done: of forty sets the first are of interest early.
+            let report = report(&set, args.json);
+            progress.suspend(|| match args.json {
+                true => json_line(&report),
+                false => print::set_row(&report, number == 0, &labels),
+            })?;
+        }
+        together.failed += set.failed;
+        together.seconds += set.seconds;
+        together.seen.extend(set.seen);
+    }
+    progress.finish_and_clear();
+    if !several {
+        together.name.clone_from(&labels[0].0);
+    }
+
+    let report = report(&together, args.by_condition || args.json);
+    match (args.json, several) {
+        (true, _) => json_line(&report)?,
+        (false, true) => print::set_row(&report, false, &labels)?,
+        (false, false) => print::classes(&report)?,
+    }
+    if !args.json && args.by_condition {
+        print::conditions(&report)?;
+    }
+    if !args.json && args.calibration {
+        print::calibration(&report)?;
+    }
+    if !args.json {
+        print::remark(&report);
+    }
+    Ok(if together.failed > 0 { Exit::Inputs } else { Exit::Done })
+}
+
+/// Detects in all pictures of a set. Those that cannot be read are told of and counted.
+fn look_at(
+    detector: &GpuDetector,
+    name: &str,
+    pictures: &[Labelled],
+    unstated: bool,
+    progress: &ProgressBar,
+) -> Result<Set, Failure> {
+    let mut set =
+        Set { name: name.into(), seen: Vec::new(), places: Vec::new(), failed: 0, seconds: 0.0 };
+    for (place, labelled) in pictures.iter().enumerate() {
+        match look(detector, labelled, unstated) {
+            Ok(found) => {
+                set.seconds += found.wall.as_secs_f64();
+                set.seen.push(seen(labelled, &found));
+                set.places.push(place);
+            }
+            Err(Failure { exit: Exit::Inputs, message }) => {
+                progress.suspend(|| message.into_iter().for_each(tell));
+                set.failed += 1;
+            }
+            Err(failure) => return Err(failure.told()),
+        }
+        progress.inc(1);
+    }
+    Ok(set)
+}
+
+pub(super) fn style() -> ProgressStyle {
+    ProgressStyle::with_template("{pos}/{len} pictures {wide_bar} {eta} left")
+        .unwrap_or_else(|_| ProgressStyle::default_bar())
+}
+
+/// The pictures of a folder, by their ids, with what they show of the weights' `classes`.
+pub(super) fn read_labels(folder: &Path, classes: &[String]) -> Result<Vec<Labelled>, Failure> {
+    let file = folder.join("annotations.json");
+    let failed =
+        |message: String| Failure::new(Exit::Inputs, format!("{}: {message}", file.display()));
+    let bytes = files::read(&file, MAX_ANNOTATIONS).map_err(|e| failed(e.to_string()))?;
+    let dataset = coco::parse(&bytes).map_err(|e| failed(e.to_string()))?;
+    let class_of: Vec<Option<usize>> = dataset
+        .categories
+        .iter()
+        .map(|name| classes.iter().position(|class| class.to_lowercase() == name.to_lowercase()))
+        .collect();
+    let mut image_of = HashMap::new();
+    let labelled = dataset.pictures.into_iter().map(|picture| {
+        let mut snaps = Vec::with_capacity(picture.labels.len());
+        for label in &picture.labels {
+            // Tools list categories that no annotation uses.
+            let class = class_of[label.category].ok_or_else(|| {
+                let (expected, got) = (classes.join(", "), &dataset.categories[label.category]);
+                failed(format!("category: expected one of the weights' {expected}; got `{got}`"))
+            })?;
+            let attributes = label.attributes.clone();
+            snaps.push(Snap { class, truth: label.truth, attributes });
+        }
+        let direct = folder.join(&picture.file);
+        let path = if direct.exists() { direct } else { folder.join("images").join(&picture.file) };
+        // One file may have two names; where there is none, reading tells.
+        if let Ok(one) = path.canonicalize()
+            && let Some(other) = image_of.insert(one, picture.id)
+        {
+            let (id, path) = (picture.id, path.display());
+            return Err(failed(format!(
+                "image {id}: expected a file of its own, got {path}, which is image {other}'s"
+            )));
+        }
+        Ok(Labelled { source: Source::File(path), picture, snaps })
+    });
+    labelled.collect()
+}
+
+fn look(
+    detector: &GpuDetector,
+    labelled: &Labelled,
+    unstated: bool,
+) -> Result<Detections, Failure> {
+    let source = &labelled.source;
+    let failed = |message| Failure::new(Exit::Inputs, format!("{source}: {message}"));
+    let picture = picture::read(source).map_err(failed)?;
+    let checked = labelled.picture.check_size(picture.width(), picture.height());
+    checked.map_err(|e| failed(e.to_string()))?;
+    let mut frame = Frame::from(&picture);
+    frame.mm_per_pixel = labelled.picture.mm_per_pixel.filter(|_| !unstated);
+    detector.detect_frame(&frame).map_err(|e| Failure::about(source, &e))
+}
+
+/// What a picture shows and what was found in it.
+fn seen(labelled: &Labelled, found: &Detections) -> Seen {
+    let mut conditions = labelled.picture.conditions.clone();
+    if let Some(mm_per_pixel) = labelled.picture.mm_per_pixel.map(f64::from) {
+        let longer = f64::from(found.width.max(found.height));
+        conditions.insert("pixels_per_mm".into(), Attribute::Number(1.0 / mm_per_pixel));
+        conditions.insert("field_mm".into(), Attribute::Number(longer * mm_per_pixel));
+    }
+    let boxes = found.detections.iter().map(|d| Found {
+        class: d.class_index,
+        scored: ScoredBox { bbox: d.bbox.map(f64::from), score: d.score.into() },
+        center_std_mm: d.center_std_mm.map(|std| std.map(f64::from)),
+        yaw_deg: d.yaw_deg.map(f64::from),
+        yaw_std_deg: d.yaw_std_deg.map(f64::from),
+    });
+    Seen {
+        snaps: labelled.snaps.clone(),
+        found: boxes.collect(),
+        mm_per_pixel: found.mm_per_pixel.into(),
+        conditions,
+    }
+}

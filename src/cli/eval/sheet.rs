@@ -1,0 +1,77 @@
+//! The worst pictures of a set, drawn into one.
+
+use image::imageops::{FilterType, overlay};
+use image::{Rgb, RgbImage};
+use smr_gpu::Detection;
+use smr_gpu::evaluation::Seen;
+
+use super::super::draw::Artist;
+use super::super::picture;
+use super::Labelled;
+
+/// Pictures on a sheet, and of these in a row.
+const PICTURES: usize = 10;
+const COLUMNS: usize = 5;
+/// Longer side of a picture on the sheet, height of the line below it, and what is between them.
+const SIDE: u32 = 400;
+const CAPTION: u32 = 24;
+const GAP: u32 = 8;
+const WHITE: Rgb<u8> = Rgb([255, 255, 255]);
+
+/// The worst pictures, the very worst first: snaps in white, boxes above `conf` in their classes'
+/// colours. Each comes with its labels and what was seen. `None` if all are right to the pixel.
+pub(super) fn worst(
+    pictures: &[(&Labelled, &Seen)],
+    classes: &[String],
+    conf: f32,
+) -> Option<RgbImage> {
+    let badness = |seen: &Seen| seen.badness(classes.len(), conf.into());
+    let mut worst: Vec<(f64, &Labelled, &Seen)> =
+        pictures.iter().map(|(labelled, seen)| (badness(seen), *labelled, *seen)).collect();
+    worst.retain(|(badness, ..)| *badness > 0.0);
+    worst.sort_by(|a, b| b.0.total_cmp(&a.0));
+    worst.truncate(PICTURES);
+    if worst.is_empty() {
+        return None;
+    }
+    let (columns, rows) = (worst.len().min(COLUMNS), worst.len().div_ceil(COLUMNS));
+    let (wide, high) = (SIDE + GAP, SIDE + CAPTION + GAP);
+    let mut sheet =
+        RgbImage::from_pixel(columns as u32 * wide + GAP, rows as u32 * high + GAP, WHITE);
+    let artist = Artist::new(classes);
+    for (number, (badness, labelled, seen)) in worst.into_iter().enumerate() {
+        let (x, y) =
+            ((number % COLUMNS) as u32 * wide + GAP, (number / COLUMNS) as u32 * high + GAP);
+        // It was read a moment ago; if it is gone since, its place stays empty.
+        if let Ok(picture) = picture::read(&labelled.source) {
+            let scale = f64::from(SIDE) / f64::from(picture.width().max(picture.height()));
+            let small = picture.resize(SIDE, SIDE, FilterType::Triangle);
+            let scaled = |bbox: [f64; 4]| bbox.map(|v| (v * scale) as f32);
+            let found = seen.found.iter().filter(|f| f.scored.score > conf.into());
+            let found: Vec<Detection> = found
+                .map(|f| Detection {
+                    class: classes[f.class].clone(),
+                    class_index: f.class,
+                    score: f.scored.score as f32,
+                    bbox: scaled(f.scored.bbox),
+                    center_mm: [0.0; 2],
+                    center_std_mm: None,
+                    yaw_deg: f.yaw_deg.map(|yaw| yaw as f32),
+                    yaw_std_deg: None,
+                    whole: None,
+                })
+                .collect();
+            let mut small = small.to_rgb8();
+            for snap in &seen.snaps {
+                Artist::outline(&mut small, scaled(snap.truth.bbox), WHITE);
+            }
+            overlay(&mut sheet, &artist.draw(&small.into(), &found), x.into(), y.into());
+        }
+        let snaps: Vec<&str> = seen.snaps.iter().map(|s| classes[s.class].as_str()).collect();
+        let snaps = if snaps.is_empty() { "nothing".to_owned() } else { snaps.join(" ") };
+        let file = labelled.picture.file.display();
+        let caption = format!("{file}: {snaps}; off by {badness:.2}");
+        artist.caption(&mut sheet, [x, y + SIDE], CAPTION, &caption);
+    }
+    Some(sheet)
+}

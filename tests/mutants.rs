@@ -451,6 +451,36 @@ fn each_fault_is_noticed_by_its_case() {
     assert!(missed.is_empty(), "not noticed:\n{}", missed.join("\n"));
 }
 
+/// Faults in how f16 is stored: file, text, what stands there instead, and an operation whose cases in f16
+/// notice it, while those in f32 do not.
+const HALF_FAULTS: [(&str, &str, &str, &str); 5] = [
+    ("shared/texels", "0xfffu", "0u", "upsample_bilinear"),
+    ("shared/texels", "half.xz | (half.yw", "half.yw | (half.xz", "upsample_bilinear"),
+    ("shared/texels", "unpack2x16float(texel.y)", "unpack2x16float(texel.x)", "max_pool2d"),
+    ("conv2d/direct", " * scale[out_quad]", "", "conv2d"),
+    ("linear/gemm", " * scale[column]", "", "linear"),
+];
+
+#[test]
+fn each_fault_in_f16_is_noticed() {
+    let mut missed = Vec::new();
+    for (file, from, to, op) in HALF_FAULTS {
+        let sources = mutate::sources();
+        let (_, text) = sources.iter().find(|(f, _)| f == file).expect("a shader");
+        assert!(text.contains(from), "{file}: no `{from}`");
+        let text = text.replacen(from, to, 1);
+        let mutated = gpu().with_replacement(Replacement { file: file.into(), text });
+        let mut failures = (find(op).expect("an operation").cases)()
+            .into_iter()
+            .map(|case| check(&mutated, &case).expect("a run").failures);
+        match failures.find(|of_case| !of_case.is_empty()) {
+            Some(of_case) if of_case.iter().all(|line| line.contains(" in f16 / ")) => {}
+            other => missed.push(format!("{file}, `{from}`: {other:?}")),
+        }
+    }
+    assert!(missed.is_empty(), "not noticed:\n{}", missed.join("\n"));
+}
+
 /// A mutant of each shader file; `cargo run --release --example mutants` runs more of them, and
 /// docs/mutants.md lists what became of them.
 #[test]

@@ -13,7 +13,9 @@ pub(super) fn count_tensor(
     capacity: usize,
 ) -> TensorId {
     count.unwrap_or_else(|| {
-        recording.constant("count (all)", Tensor::from_fn([1], |_| capacity as u32))
+        // Constants of one name are one: programs of the same weights share them.
+        let name = format!("count (all {capacity})");
+        recording.constant(name, Tensor::from_fn([1], |_| capacity as u32))
     })
 }
 

@@ -248,3 +248,31 @@ impl Layouts<'_> {
         places.iter().find_map(|(l, p)| self.versions.get(&(id, *l, *p)).copied())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ops::{MaxPool2d, NotFinite};
+    use crate::shape::Extent;
+
+    /// Of two maps in a row, the second is looked at element by element.
+    #[test]
+    fn what_is_read_planar_is_written_in_f32() {
+        let mut graph = Graph::default();
+        let input = graph.input("input", TensorSpec::f32([4, 8, 8]), Extent::Exact);
+        let pool = MaxPool2d { kernel: 3, stride: 1, padding: 1 };
+        let first = graph.apply1("first", pool, &[input]).expect("a map");
+        let second = graph.apply1("second", pool, &[first]).expect("a map");
+        let counts = graph.apply1("counts", NotFinite::default(), &[second]).expect("counts");
+        graph.mark_output(counts);
+        let (caps, choice, keep) = (Caps::default(), Choice::default(), [first, second]);
+        let stored = |precision| {
+            let request =
+                Request { keep: &keep, batch: 1, precision, caps: &caps, choice: &choice };
+            let lowered = lower(&graph, &request).expect("kernels for both");
+            keep.map(|id| lowered.stored(id))
+        };
+        assert_eq!(stored(Precision::F16), [Precision::F16, Precision::F32]);
+        assert_eq!(stored(Precision::F32), [Precision::F32; 2]);
+    }
+}

@@ -124,8 +124,8 @@ impl Network {
             Features::Scales(scales) => fusion::fusion(&mut graph, &mut weights, scales)?,
             Features::Conv4(map) => (map, None),
         };
-        let proposals = rpn::rpn(&mut graph, &mut weights, size, fused)?;
         let settings = (size, thresholds);
+        let proposals = rpn::rpn(&mut graph, &mut weights, settings, fused)?;
         let head = roi_head::roi_head(&mut graph, &mut weights, settings, fused, proposals)?;
         weights.finish()?;
         // What each head gave: NaN stays NaN from where it arises to these, while comparisons behind

@@ -1,6 +1,7 @@
 //! Holds a device's kernels to the references.
 //!
-//! Tests run these, and so may anyone who replaces a shader or brings a new driver.
+//! Tests run these, and so may anyone who replaces a shader or brings a new driver: [`rows`] is what
+//! `smr-gpu check` prints and what the tests of operations assert.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -11,9 +12,158 @@ use crate::graph::{Graph, TensorId};
 use crate::kernels::{self, Kernel, Layout, Work};
 use crate::lower::{Choice, Lowered, Request, lower};
 use crate::ops::case::WEIGHTS;
-use crate::ops::{Case, Expected, Op, Report};
+use crate::ops::{Case, Entry, Expected, OPS, Op, Report};
 use crate::shape::{Extent, TensorSpec};
 use crate::tensor::{Tensor, Value};
+
+/// What is held to the references.
+#[derive(Clone, Debug)]
+pub enum Target {
+    /// Each kernel that fits on a device.
+    Gpu(Arc<Gpu>),
+    /// This machine's CPU, in f32; as a kernel it is called [`CPU`].
+    #[cfg(feature = "cpu")]
+    Cpu,
+}
+
+/// The name under which the CPU's kernels are listed.
+pub const CPU: &str = "cpu";
+
+/// Which cases are run, and by which kernels; each `None` stands for all.
+#[derive(Clone, Debug, Default)]
+pub struct Selection {
+    /// The operation of this name alone.
+    pub operation: Option<String>,
+    /// The kernel of this name alone, or [`CPU`].
+    pub kernel: Option<String>,
+    /// The case of this name alone.
+    pub case: Option<String>,
+}
+
+impl Selection {
+    /// One operation.
+    pub fn of(operation: &str) -> Self {
+        Self { operation: Some(operation.into()), ..Self::default() }
+    }
+
+    /// The operations of the selection: those that have the kernel, if one is named.
+    ///
+    /// # Errors
+    /// [`Error::Param`] for an operation or a kernel that there is none of.
+    pub fn entries(&self) -> Result<Vec<&'static Entry>> {
+        let is = |wanted: &Option<String>, name: &str| wanted.as_deref().is_none_or(|w| w == name);
+        let of = |entry: &&&Entry| is(&self.operation, entry.name);
+        let named: Vec<&Entry> = OPS.iter().filter(of).copied().collect();
+        let unknown = |what: &str, known: Vec<&str>, got: &Option<String>| {
+            let got = format!("`{}`", got.as_deref().unwrap_or_default());
+            Error::param("check", what, format!("one of {}", known.join(", ")), got)
+        };
+        if named.is_empty() {
+            let known = OPS.iter().map(|entry| entry.name).collect();
+            return Err(unknown("operation", known, &self.operation));
+        }
+        let ids = |entry: &Entry| kernels::named(entry.name).iter().map(|k| k.id());
+        let has =
+            |entry: &&Entry| is(&self.kernel, CPU) || ids(entry).any(|id| is(&self.kernel, id));
+        let found: Vec<&Entry> = named.iter().copied().filter(has).collect();
+        if found.is_empty() {
+            let known = named.iter().flat_map(|entry| ids(entry)).chain([CPU]).collect();
+            return Err(unknown("kernel", known, &self.kernel));
+        }
+        Ok(found)
+    }
+}
+
+/// A kernel held to the cases of its operation.
+#[derive(Clone, Debug)]
+pub struct Row {
+    /// The operation.
+    pub operation: &'static str,
+    /// The kernel, or [`CPU`].
+    pub kernel: &'static str,
+    /// Cases that it fits.
+    pub cases: usize,
+    /// Largest error as a share of its bound; at most 1 where nothing failed, 0 where only equal bits
+    /// will do.
+    pub share: f64,
+    /// The case of that error; one that failed, if any did.
+    pub nearest: String,
+    /// What failed, in words.
+    pub failures: Vec<String>,
+}
+
+impl Row {
+    fn add(&mut self, case: &Case, share: f64, failures: Vec<String>) {
+        let first = self.cases == 0 || (self.failures.is_empty() && !failures.is_empty());
+        let as_bad = self.failures.is_empty() || !failures.is_empty();
+        if first || (as_bad && share > self.share) {
+            self.nearest.clone_from(&case.name);
+        }
+        self.cases += 1;
+        self.share = self.share.max(share);
+        self.failures.extend(failures);
+    }
+}
+
+/// Runs the selected cases of an operation: a row for each kernel that fits any.
+///
+/// # Errors
+/// [`Error::Param`] for a case that the operation does not have, and what ends the device. What an
+/// operation refuses or gets wrong is a failure in its row.
+pub fn rows(target: &Target, entry: &Entry, selection: &Selection) -> Result<Vec<Row>> {
+    let mut cases = (entry.cases)();
+    if let Some(wanted) = &selection.case {
+        let known: Vec<String> = cases.iter().map(|case| format!("`{}`", case.name)).collect();
+        cases.retain(|case| case.name == *wanted);
+        if cases.is_empty() {
+            let expected = format!("one of {}", known.join(", "));
+            return Err(Error::param("check", "case", expected, format!("`{wanted}`")));
+        }
+    }
+    let mut rows: Vec<Row> = Vec::new();
+    for case in &cases {
+        let expected = Expected::of(case)?;
+        for (kernel, report) in reports(target, &expected, selection)? {
+            let (share, failures) = match report {
+                Ok(report) => (report.max_share, report.failures),
+                Err(e @ (Error::DeviceLost(_) | Error::Timeout { .. } | Error::Driver { .. })) => {
+                    return Err(e);
+                }
+                Err(e) => (f64::INFINITY, vec![format!("{kernel} / {}: {e}", case.name)]),
+            };
+            let at = rows.iter().position(|row| row.kernel == kernel).unwrap_or_else(|| {
+                let (operation, nearest) = (entry.name, String::new());
+                let failures = Vec::new();
+                rows.push(Row { operation, kernel, cases: 0, share: 0.0, nearest, failures });
+                rows.len() - 1
+            });
+            rows[at].add(case, share, failures);
+        }
+    }
+    Ok(rows)
+}
+
+/// What each selected kernel makes of a case.
+fn reports(
+    target: &Target,
+    expected: &Expected,
+    selection: &Selection,
+) -> Result<Vec<(&'static str, Result<Report>)>> {
+    let wanted = |id: &str| selection.kernel.as_deref().is_none_or(|kernel| kernel == id);
+    let case = expected.case();
+    match target {
+        Target::Gpu(gpu) => {
+            let mut kernels = fitting(gpu, case)?;
+            kernels.retain(|kernel| wanted(kernel.id()));
+            let run = |kernel| check_kernel(gpu, expected, &case.inputs, kernel);
+            Ok(kernels.into_iter().map(|kernel| (kernel.id(), run(kernel))).collect())
+        }
+        #[cfg(feature = "cpu")]
+        Target::Cpu if !wanted(CPU) => Ok(Vec::new()),
+        #[cfg(feature = "cpu")]
+        Target::Cpu => Ok(vec![(CPU, crate::host::check_expected(expected))]),
+    }
+}
 
 /// Runs `case` by each kernel that fits, on `gpu` with poisoned, guarded buffers, and holds it to the
 /// reference within the kernel's bound; where there are outputs by hand, to those too.

@@ -101,8 +101,10 @@ pub struct StageError {
     /// The stage.
     pub stage: String,
     /// Length of the difference over the length of the reference.
+    #[serde(deserialize_with = "or_infinity")]
     pub relative_l2: f64,
     /// Largest difference of an element.
+    #[serde(deserialize_with = "or_infinity")]
     pub largest: f64,
 }
 
@@ -129,7 +131,8 @@ pub struct Quality {
     pub iou: f64,
     /// Average precision at an overlap of one half, the mean over the classes.
     pub ap50: f64,
-    /// Median distance of centres in millimetres.
+    /// Median distance of centres in millimetres; infinite where no snap was found.
+    #[serde(deserialize_with = "or_infinity")]
     pub center_error_mm: f64,
 }
 
@@ -359,13 +362,18 @@ mod tests {
         assert_eq!(Spread::of(&[]), None);
     }
 
-    /// Lost boxes are infinitely far off, also after a file.
+    /// Lost boxes are infinitely far off, also after a file, and so are centres where none was found.
     #[test]
     fn tables_are_written_and_read() {
+        let mut table = table();
+        table.rows[0].quality =
+            Some(Quality { iou: 0.0, ap50: 0.0, center_error_mm: f64::INFINITY });
+        let (stage, infinite) = ("conv1".to_owned(), f64::INFINITY);
+        table.rows[0].stages = vec![StageError { stage, relative_l2: infinite, largest: infinite }];
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("table.json");
-        std::fs::write(&path, serde_json::to_vec(&table()).expect("JSON")).expect("written");
-        assert_eq!(Table::open(&path).expect("a table"), table());
+        std::fs::write(&path, serde_json::to_vec(&table).expect("JSON")).expect("written");
+        assert_eq!(Table::open(&path).expect("a table"), table);
         std::fs::write(&path, "{}").expect("written");
         assert!(
             Table::open(&path).expect_err("an error").to_string().contains("a table of setups")

@@ -376,9 +376,36 @@ fn one_operation_runs_on_tensors_from_a_file() {
 #[test]
 fn shaders_are_checked_on_the_users_machine() {
     let folder = folder();
-    let ran = run(folder.path(), &["check", "conv2d", "--device", "gpu"]).expect(0);
+    let check = |arguments: &[&str]| {
+        let all = [&["check", "softmax", "--device", "gpu"], arguments].concat();
+        run(folder.path(), &all)
+    };
+    let ran = check(&[]).expect(0);
     let lines: Vec<&str> = ran.stdout.lines().collect();
-    assert!(lines.len() == 2 && lines[1].starts_with("conv2d") && lines[1].ends_with("ok"));
+    assert!(
+        lines[0].starts_with("operation") && lines[1].starts_with("softmax  "),
+        "{}",
+        ran.stdout
+    );
+    assert!(lines[1].contains("softmax/planar") && lines[1].contains("  ok "), "{}", lines[1]);
+
+    // The last line, as a shell takes it, runs the nearest case alone and comes to the same.
+    let command = lines.last().expect("a command");
+    let words: Vec<&str> = command.split('\'').collect();
+    let [start, case, end] = words[..] else { panic!("{command}") };
+    assert!(lines[1].ends_with(case), "{command}");
+    let arguments: Vec<&str> =
+        start.split_whitespace().skip(1).chain([case]).chain(end.split_whitespace()).collect();
+    let alone = run(folder.path(), &[&arguments[..], &["--json"]].concat()).expect(0).json();
+    assert_eq!((alone.len(), &alone[0]["cases"]), (1, &1.into()));
+    assert_eq!(alone[0]["command"], *command);
+    let all = check(&["--json"]).expect(0).json();
+    assert_eq!(alone[0]["share"], all[0]["share"]);
+    assert!(all[0]["cases"].as_u64() > Some(20) && alone[0]["share"].as_f64() > Some(0.0));
+    assert_eq!(all[0]["failures"], serde_json::json!([]));
+
+    check(&["--case", "no such"]).expect(2).tells("`by hand`").tells("got `no such`");
+    check(&["--kernel", "conv2d/direct"]).expect(2).tells("one of softmax/planar, cpu");
 }
 
 #[test]

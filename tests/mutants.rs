@@ -410,6 +410,113 @@ const FAULTS: &[Fault] = &[
         by_hand: true,
     },
     Fault {
+        what: "every fourth product left out",
+        file: "shared/products",
+        changes: &[(" + w.a.w * x[3]", "")],
+        op: "conv2d",
+        case: "dot products of condition 1e4, exact",
+        by_hand: true,
+    },
+    Fault {
+        what: "stride and dilation exchanged",
+        file: "conv2d",
+        changes: &[(
+            "oy * params.stride + ky * params.dilation",
+            "oy * params.dilation + ky * params.stride",
+        )],
+        op: "conv2d",
+        case: "stride, dilation, padding and channels by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "a padding of one row less",
+        file: "conv2d",
+        changes: &[(
+            "ky * params.dilation - params.padding",
+            "ky * params.dilation - params.padding + 1u",
+        )],
+        op: "conv2d",
+        case: "stride, dilation, padding and channels by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "tiles without their padding",
+        file: "conv2d/winograd_input",
+        changes: &[("/ params.tile_columns * 4u - 1u", "/ params.tile_columns * 4u")],
+        op: "conv2d",
+        case: "3 × 3 taps of condition 1e4, exact",
+        by_hand: true,
+    },
+    Fault {
+        what: "sums kept in f16",
+        file: "conv2d",
+        changes: &[(
+            "near_sums[0] += n0;",
+            "let h = near_sums[0] + n0; near_sums[0] = vec4<f32>(\
+             unpack2x16float(pack2x16float(h.xy)), unpack2x16float(pack2x16float(h.zw)));",
+        )],
+        op: "conv2d",
+        case: "3x3 of prime sizes",
+        by_hand: false,
+    },
+    Fault {
+        what: "no maximum subtracted",
+        file: "softmax",
+        changes: &[(
+            "highest = tree_sum_max(lane, vec2<f32>(0.0, highest), 1u).y;",
+            "highest = 0.0;",
+        )],
+        op: "softmax",
+        case: "±1e4 by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "the exponential of a positive number",
+        file: "shared/sigmoid",
+        changes: &[("exp(-abs(x))", "exp(-x)")],
+        op: "decode_proposals",
+        case: "logits of ±88, ±104, ±1e3 by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "NaN found by comparing values",
+        file: "not_finite",
+        changes: &[(
+            "(input[start + i] & EXPONENT) == EXPONENT",
+            "bitcast<f32>(input[start + i]) != bitcast<f32>(input[start + i])",
+        )],
+        op: "not_finite",
+        case: "each kind of number by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "of equal scores the later first",
+        file: "top_k",
+        changes: &[("positions[a] < positions[b]", "positions[a] > positions[b]")],
+        op: "top_k",
+        case: "by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "a delta that is not finite makes a box at the picture's edge",
+        file: "shared/boxes",
+        changes: &[(
+            "select(bitcast<vec2<u32>>(low), vec2<u32>(QUIET_NAN), lost)",
+            "bitcast<vec2<u32>>(low)",
+        )],
+        op: "decode_proposals",
+        case: "deltas that are not finite, by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "equality at the threshold drops a box",
+        file: "shared/boxes",
+        changes: &[("return overlap > rounded(", "return overlap >= rounded(")],
+        op: "nms",
+        case: "at the threshold of 1/2 by hand",
+        by_hand: true,
+    },
+    Fault {
         what: "an area that grows with the distance from the origin",
         file: "shared/boxes",
         changes: &[("rounded(b.z - b.x, zero)", "rounded(b.z + b.x, zero)")],
@@ -449,6 +556,18 @@ fn each_fault_is_noticed_by_its_case() {
         }
     }
     assert!(missed.is_empty(), "not noticed:\n{}", missed.join("\n"));
+}
+
+/// The table for people has them all.
+#[test]
+fn each_fault_is_in_the_table() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/mutants.md");
+    let table = std::fs::read_to_string(path).expect("docs/mutants.md");
+    for Fault { what, file, op, case, by_hand, .. } in FAULTS {
+        let by_hand = if *by_hand { "yes |" } else { "|" };
+        let row = format!("| {what} | {file} | {op}: {case} | {by_hand}");
+        assert!(table.lines().any(|line| line == row), "expected in docs/mutants.md:\n{row}");
+    }
 }
 
 /// A mutant of each shader file; `cargo run --release --example mutants` runs more of them, and

@@ -1,81 +1,150 @@
 //! `smr-gpu check`: holds a device's operations to their references.
 
-use smr_gpu::ops::{self, Case, Entry, Report};
-use smr_gpu::{Device, host};
+use serde::Serialize;
+use smr_gpu::check::{Row, Selection, Target, rows};
+use smr_gpu::{Device, Error};
 
 use super::detector::{DeviceArgs, open_gpu};
-use super::exit::{Exit, Failure, exit_of};
-use super::output::{line, tell};
+use super::exit::{Exit, Failure};
+use super::output::{json_line, line, tell};
 
-/// Hold each operation's kernel to its reference on this machine
+/// Hold each kernel of each operation to the f64 reference on this machine
 ///
-/// Runs the library's cases: hand-computed ones, edges and prime sizes, on poisoned and guarded
-/// buffers. Prints for each operation its number of cases and the largest error as a share of its
-/// bound; at most 1 passes.
+/// Runs the library's cases: hand-computed ones, edges and prime sizes, stiff and extreme values, on
+/// poisoned and guarded buffers. Prints for each kernel its number of cases, the largest error as a
+/// share of its bound, of which at most 1 passes, and the case of that error; in the end the command
+/// that runs the nearest case of all alone.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Check this operation alone.
     name: Option<String>,
 
+    /// Check this kernel alone, as in the second column.
+    #[arg(long, value_name = "KERNEL")]
+    kernel: Option<String>,
+
+    /// Run this case alone, as in the last column.
+    #[arg(long, value_name = "NAME")]
+    case: Option<String>,
+
+    /// Print an object a kernel, one a line.
+    #[arg(long)]
+    json: bool,
+
     #[command(flatten)]
     device: DeviceArgs,
 }
 
+/// A row as JSON.
+#[derive(Serialize)]
+struct Object<'a> {
+    operation: &'a str,
+    kernel: &'a str,
+    cases: usize,
+    share: f64,
+    nearest: &'a str,
+    failures: &'a [String],
+    command: String,
+}
+
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    let wanted = |e: &&&Entry| args.name.as_deref().is_none_or(|n| n == e.name);
-    let entries: Vec<&Entry> = ops::OPS.iter().filter(wanted).copied().collect();
-    if entries.is_empty() {
-        let known: Vec<_> = ops::OPS.iter().map(|e| e.name).collect();
-        let name = args.name.unwrap_or_default();
-        let known = known.join(", ");
-        return Err(Failure::usage(format!("operation: expected one of {known}; got `{name}`")));
+    if args.device.device == Device::Reference {
+        return Err(Failure::usage("--device: expected what is held to the reference, got it"));
     }
-    let gpu = match &args.device.device {
-        Device::Reference => {
-            return Err(Failure::usage("--device: expected what is held to the reference, got it"));
-        }
-        other => open_gpu(other)?,
+    let selection = Selection {
+        operation: args.name.clone(),
+        kernel: args.kernel.clone(),
+        case: args.case.clone(),
     };
-    let run: Box<Run> = match gpu {
+    let entries = selection.entries()?;
+    let target = match open_gpu(&args.device.device)? {
         None => {
             tell("CPU (f32)");
-            Box::new(host::check)
+            Target::Cpu
         }
         Some(gpu) => {
             tell(format!("{} ({})", gpu.info().name, gpu.info().backend));
-            Box::new(move |case| smr_gpu::check::check(&gpu, case))
+            Target::Gpu(gpu)
         }
     };
-    line(format!("{:<20}  {:>5}  {:>14}", "operation", "cases", "error / bound"))?;
-    let mut exit = Exit::Done;
+    if !args.json {
+        let head = ["operation", "kernel", "cases", "error / bound", "nearest case"];
+        line(format!(
+            "{:<17}  {:<25}  {:>5}  {:>13}          {}",
+            head[0], head[1], head[2], head[3], head[4]
+        ))?;
+    }
+    let mut all: Vec<Row> = Vec::new();
+    let mut no_case = None;
     for entry in entries {
-        if !check(&run, entry)? {
-            exit = Exit::Inputs;
+        let found = match rows(&target, entry, &selection) {
+            // Another operation may have the case.
+            Err(e @ Error::Param { .. }) if selection.operation.is_none() => {
+                no_case = Some(e);
+                continue;
+            }
+            found => found?,
+        };
+        for row in found {
+            print(&row, &args)?;
+            row.failures.iter().for_each(tell);
+            all.push(row);
         }
     }
-    Ok(exit)
+    if all.is_empty() {
+        let none = || Failure::usage("check: expected a kernel that fits a case here, got none");
+        return Err(no_case.map_or_else(none, Failure::from));
+    }
+    let failed = |row: &Row| !row.failures.is_empty();
+    let worse = |a: &&Row, b: &&Row| failed(a).cmp(&failed(b)).then(a.share.total_cmp(&b.share));
+    if let Some(row) = all.iter().max_by(worse).filter(|_| !args.json && args.case.is_none()) {
+        line("")?;
+        line("nearest to its bound, alone:")?;
+        line(command(row, &args.device.device))?;
+    }
+    Ok(if all.iter().any(failed) { Exit::Inputs } else { Exit::Done })
 }
 
-/// Runs a case and holds it to its reference.
-type Run = dyn Fn(&Case) -> smr_gpu::Result<Report>;
-
-/// Checks one operation; `false` if a case failed.
-fn check(run: &Run, entry: &Entry) -> Result<bool, Failure> {
-    let cases = (entry.cases)();
-    let (mut share, mut failures) = (0.0_f64, Vec::new());
-    for case in &cases {
-        match run(case) {
-            Ok(report) => {
-                share = share.max(report.max_share);
-                failures.extend(report.failures);
-            }
-            Err(e) if exit_of(&e) == Exit::Lost => return Err(e.into()),
-            Err(e) => failures.push(format!("{} / {}: {e}", entry.name, case.name)),
-        }
+fn print(row: &Row, args: &Args) -> Result<(), Failure> {
+    let Row { operation, kernel, cases, share, nearest, failures } = row;
+    if args.json {
+        let command = command(row, &args.device.device);
+        let (cases, share) = (*cases, *share);
+        return json_line(&Object { operation, kernel, cases, share, nearest, failures, command });
     }
     let verdict = if failures.is_empty() { "ok" } else { "FAILED" };
-    line(format!("{:<20}  {:>5}  {share:>14.3}  {verdict}", entry.name, cases.len()))?;
-    let passed = failures.is_empty();
-    failures.into_iter().for_each(tell);
-    Ok(passed)
+    line(format!(
+        "{operation:<17}  {kernel:<25}  {cases:>5}  {share:>13.3}  {verdict:<6}  {nearest}"
+    ))
+}
+
+/// What a shell runs to see the case of a row alone.
+fn command(row: &Row, device: &Device) -> String {
+    let (device, case) = (quoted(&device.to_string()), quoted(&row.nearest));
+    format!(
+        "smr-gpu check {} --kernel {} --case {case} --device {device}",
+        row.operation, row.kernel
+    )
+}
+
+/// A word for a shell, in quotes where it must be.
+fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./".contains(c);
+    match !word.is_empty() && word.chars().all(plain) {
+        true => word.into(),
+        false => format!("'{}'", word.replace('\'', r"'\''")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_quoted_for_a_shell() {
+        assert_eq!(quoted("gpu"), "gpu");
+        assert_eq!(quoted("2x2 by hand"), "'2x2 by hand'");
+        assert_eq!(quoted("the sensor's"), r"'the sensor'\''s'");
+        assert_eq!(quoted(""), "''");
+    }
 }

@@ -59,6 +59,20 @@ impl std::str::FromStr for Device {
     }
 }
 
+impl std::fmt::Display for Device {
+    /// As `--device` takes it.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Auto => f.write_str("auto"),
+            Self::Gpu(AdapterChoice::Auto | AdapterChoice::Hardware) => f.write_str("gpu"),
+            Self::Gpu(AdapterChoice::Index(index)) => index.fmt(f),
+            Self::Gpu(AdapterChoice::Name(name)) => f.write_str(name),
+            Self::Cpu => f.write_str("cpu"),
+            Self::Reference => f.write_str("reference"),
+        }
+    }
+}
+
 /// Where the weights are.
 #[derive(Clone)]
 pub enum WeightSource {

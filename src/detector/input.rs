@@ -230,8 +230,7 @@ fn check_finite(network: &Network, values: &Values) -> Result<()> {
         let counts = value(network, values, witness.counts)?.u32()?;
         let count = counts.data().iter().map(|n| u64::from(*n)).sum();
         if count > 0 {
-            let stage = network.graph.name(witness.tensor).into();
-            return Err(Error::NotFinite { stage, count });
+            return Err(Error::NotFinite { stage: witness.stage.clone(), count });
         }
     }
     Ok(())

@@ -8,6 +8,9 @@ use crate::graph::{Graph, TensorId};
 use crate::model::weights::Weights;
 use crate::ops::{ApplyGates, ChannelGate, ChannelPool, SpatialGate, SpatialPool};
 
+/// How the name ends of what an attention pools over space.
+pub(super) const POOLED: &str = ".channel.pool";
+
 /// Appends the attention called `name` to `input` `[C, H, W]`.
 pub(super) fn cbam(
     graph: &mut Graph,
@@ -31,7 +34,7 @@ pub(super) fn cbam(
         graph.constant(of("channel.fc2.weight"), fc2.weight),
         graph.constant(of("channel.fc2.bias"), fc2.bias),
     ];
-    let pooled = graph.apply1(&of("channel.pool"), ChannelPool, &[input])?;
+    let pooled = graph.apply1(&format!("{name}{POOLED}"), ChannelPool, &[input])?;
     let channel_gate =
         graph.apply1(&of("channel"), ChannelGate, &[pooled, mlp[0], mlp[1], mlp[2], mlp[3]])?;
     let pooled = graph.apply1(&of("spatial.pool"), SpatialPool, &[input, channel_gate])?;

@@ -15,6 +15,7 @@ pub use roi_head::Thresholds;
 pub use weights::{MAX_FILE, Weights};
 
 use backbone::Features;
+use cbam::POOLED;
 
 use crate::error::{Error, Result};
 use crate::graph::{Graph, TensorId};
@@ -89,12 +90,23 @@ pub struct Choice {
 }
 
 /// A tensor in which the network looks for values that are not finite.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Witness {
+    /// Where it shows that something overflowed: a stage, or a head's output.
+    pub stage: String,
     /// The tensor.
     pub tensor: TensorId,
     /// Output: how many of its values are not finite, u32, in parts as [`NotFinite`] gives them.
     pub counts: TensorId,
+}
+
+/// What the attentions pool over space, `[2, C]` each, with the stage that each belongs to.
+fn pooled_by_stage(graph: &Graph) -> Vec<(String, TensorId)> {
+    let of = |(at, stage): (usize, &String)| -> Vec<(String, TensorId)> {
+        let pooled = graph.computed_in(at).filter(|id| graph.name(*id).ends_with(POOLED));
+        pooled.map(|id| (stage.clone(), id)).collect()
+    };
+    graph.stages().iter().enumerate().flat_map(of).collect()
 }
 
 impl Network {
@@ -128,17 +140,22 @@ impl Network {
         let proposals = rpn::rpn(&mut graph, &mut weights, settings, fused)?;
         let head = roi_head::roi_head(&mut graph, &mut weights, settings, fused, proposals)?;
         weights.finish()?;
-        // What each head gave: NaN stays NaN from where it arises to these, while comparisons behind
-        // them would only drop it.
+        // A channel's mean is not finite where one of its values is not: what each stage's attention
+        // pools tells of all its map. Then what each head gave: NaN stays NaN from where it arises to
+        // these, while comparisons behind them would only drop it.
+        let pooled = pooled_by_stage(&graph);
         graph.begin_stage("check");
-        let maps = proposals.maps.into_iter().chain(scales).map(|tensor| (tensor, None));
-        let rows = head.rows.into_iter().map(|tensor| (tensor, Some(proposals.count)));
+        let named = |tensor| (graph.name(tensor).to_owned(), tensor);
+        let maps = scales.into_iter().chain(proposals.maps).map(named);
+        let maps: Vec<_> = pooled.into_iter().chain(maps).map(|m| (m, None)).collect();
+        let rows = head.rows.into_iter().map(named).map(|row| (row, Some(proposals.count)));
+        let looked_at: Vec<_> = maps.into_iter().chain(rows).collect();
         let mut witnesses = Vec::new();
-        for (tensor, count) in maps.chain(rows) {
+        for ((stage, tensor), count) in looked_at {
             let name = format!("{}.not_finite", graph.name(tensor));
             let inputs: Vec<_> = [tensor].into_iter().chain(count).collect();
             let counts = graph.apply1(&name, NotFinite { count: count.is_some() }, &inputs)?;
-            witnesses.push(Witness { tensor, counts });
+            witnesses.push(Witness { stage, tensor, counts });
         }
         let outputs = [head.boxes, head.scores, head.classes, head.count, proposals.count];
         let more = head.pose.into_iter().chain(witnesses.iter().map(|w| w.counts));

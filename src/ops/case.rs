@@ -196,6 +196,56 @@ pub fn one_way_sum(seed: u64, shape: impl Into<Shape>, terms: usize) -> Value {
     tensor.into()
 }
 
+/// Two vectors of `n` numbers whose dot product has about this condition number: Σ|xᵢyᵢ| is so many times
+/// the sum itself (Ogita, Rump and Oishi, "Accurate Sum and Dot Product", SIAM J. Sci. Comput. 26, 2005,
+/// algorithm 6.1, in f32). The first half has exponents at random, the second brings the sum down.
+pub fn stiff_dot(seed: u64, n: usize, condition: f64) -> [Vec<f32>; 2] {
+    let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
+    let half_log = condition.log2() / 2.0;
+    let (mut x, mut y) = (Vec::with_capacity(n), Vec::with_capacity(n));
+    let free = n / 2;
+    for i in 0..n {
+        let exponent: f64 = match i {
+            0 => half_log,
+            i if i < free => rng.random_range(0.0..=half_log),
+            i => half_log * (1.0 - (i - free) as f64 / (n - 1 - free).max(1) as f64),
+        };
+        let mut number = || {
+            let sign = if rng.random_bool(0.5) { 1.0 } else { -1.0 };
+            sign * rng.random_range(0.5..1.0) * exponent.round().exp2()
+        };
+        let (a, b) = (number() as f32, number());
+        let sum = if i < free { 0.0 } else { exact_dot(&x, &y) };
+        let b = if i < free { b } else { (b - sum) / f64::from(a) };
+        x.push(a);
+        y.push(b as f32);
+    }
+    [x, y]
+}
+
+/// Σ xᵢyᵢ as exact as an f64 tells: products of two f32 are exact there, and their sum is kept in parts
+/// that do not overlap (Shewchuk, "Adaptive Precision Floating-Point Arithmetic", 1997).
+pub fn exact_dot(x: &[f32], y: &[f32]) -> f64 {
+    let mut parts: Vec<f64> = Vec::new();
+    for (x, y) in x.iter().zip(y) {
+        let mut term = f64::from(*x) * f64::from(*y);
+        let mut kept = 0;
+        for i in 0..parts.len() {
+            let sum = term + parts[i];
+            let of_part = sum - term;
+            let lost = (term - (sum - of_part)) + (parts[i] - of_part);
+            if lost != 0.0 {
+                parts[kept] = lost;
+                kept += 1;
+            }
+            term = sum;
+        }
+        parts.truncate(kept);
+        parts.push(term);
+    }
+    parts.iter().sum()
+}
+
 /// Values written out in a case, row-major.
 pub fn values(shape: impl Into<Shape>, data: &[f32]) -> Value {
     Tensor::from_fn(shape, |i| data[i]).into()
@@ -255,6 +305,31 @@ mod tests {
         }
         assert!(report.failures.is_empty(), "{}", report.failures.join("\n"));
         assert!(compared > 100, "only {compared}");
+    }
+
+    /// `smr-gpu check --case` and the tests find a case by its name.
+    #[test]
+    fn no_two_cases_of_an_operation_share_a_name() {
+        for entry in OPS {
+            let mut names: Vec<String> =
+                (entry.cases)().into_iter().map(|case| case.name).collect();
+            names.sort();
+            let twice: Vec<_> = names.windows(2).filter(|pair| pair[0] == pair[1]).collect();
+            assert!(twice.is_empty(), "{}: {twice:?}", entry.name);
+        }
+    }
+
+    #[test]
+    fn dot_products_are_exact_and_as_stiff_as_asked() {
+        // In order, f64 loses all of the small one.
+        let x = [1e20, 1.0, -1e20, 0.25];
+        assert_eq!(exact_dot(&x, &[1e10, 3.0, 1e10, 1.0]), 3.25);
+        for condition in [1e4, 1e8, 1e12] {
+            let [x, y] = stiff_dot(7, 72, condition);
+            let absolute: f64 = x.iter().zip(&y).map(|(x, y)| f64::from((x * y).abs())).sum();
+            let got = absolute / exact_dot(&x, &y).abs();
+            assert!((condition / 100.0..condition * 100.0).contains(&got), "{got:e}");
+        }
     }
 
     #[test]

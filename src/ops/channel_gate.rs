@@ -168,6 +168,21 @@ fn cases() -> Vec<Case> {
         )
         .by_hand(vec![values([4], &[1.0, 0.0, 1.0, 0.0])]),
     ];
+    // Half of it twice: sigmoid(±88), (±104), (±1e3).
+    cases.push(
+        Case::new(
+            "±88, ±104, ±1e3 by hand",
+            ChannelGate,
+            vec![
+                values([2, 6], &[0.0; 12]),
+                values([1, 6], &[1.0; 6]),
+                values([1], &[0.0]),
+                values([6, 1], &[1.0; 6]),
+                values([6], &[44.0, -44.0, 52.0, -52.0, 5e2, -5e2]),
+            ],
+        )
+        .by_hand(vec![values([6], &[1.0, 6.054_602e-39, 1.0, 0.0, 1.0, 0.0])]),
+    );
     let mlp = |seed: u64, channels: usize, hidden: usize, scale: f32| -> Vec<Value> {
         vec![
             random_scaled(seed, [2, channels], scale),

@@ -110,6 +110,20 @@ fn cases() -> Vec<Case> {
     cases.push(Case::new("1e30", ChannelPool, vec![random_scaled(91, [3, 11, 13], 1e30)]));
     cases.push(Case::new("1e-30", ChannelPool, vec![random_scaled(92, [3, 11, 13], 1e-30)]));
     // Its rounding errors all go one way: summed in order they would be past the bound.
+    cases.push(
+        Case::new("zeros by hand", ChannelPool, vec![Tensor::<f32>::zeros([4, 9, 7]).into()])
+            .by_hand(vec![values([2, 4], &[0.0; 8])]),
+    );
+    // One of 256 pixels: means of ±1, and a largest of 256 and of 0.
+    let spikes = Tensor::from_fn([2, 16, 16], |i| match i {
+        91 => 256.0,
+        300 => -256.0,
+        _ => 0.0,
+    });
+    cases.push(
+        Case::new("single spikes by hand", ChannelPool, vec![spikes.into()])
+            .by_hand(vec![values([2, 2], &[1.0, -1.0, 256.0, 0.0])]),
+    );
     let third = Tensor::from_fn([1, 160, 160], |_| 1.0 / 3.0);
     cases.push(Case::new("one third everywhere", ChannelPool, vec![third.into()]));
     for (seed, (channels, edge)) in GATED_MAPS.into_iter().enumerate() {

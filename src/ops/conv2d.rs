@@ -3,7 +3,7 @@
 use crate::cpu::{self, ConvShape};
 use crate::error::{Error, Result};
 use crate::ops::bounds::{Joined, SumOrder, magnitude};
-use crate::ops::case::{Case, one_way, one_way_sum, random};
+use crate::ops::case::{Case, exact_dot, one_way, one_way_sum, random, stiff_dot};
 use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
@@ -324,6 +324,7 @@ fn cases() -> Vec<Case> {
     let op = Conv2d { padding: 1, bias: false, ..Conv2d::default() };
     let inputs = vec![wide.into(), random(98, [8, 32, 3, 3]).into()];
     cases.push(Case::new("twelve orders of magnitude", op, inputs));
+    cases.extend(stiff());
     // Each of the network: (in_c, edge, out_c, kernel, stride, padding, dilation, residual, relu).
     let layers = [
         (3, 320, 64, 7, 2, 3, 1, false, true),
@@ -360,8 +361,120 @@ fn cases() -> Vec<Case> {
         if residual {
             inputs.push(one_way_sum(seed + 3, [out_c, edge, edge], terms));
         }
-        let name = format!("{in_c} to {out_c} at {edge} × {edge}");
+        let mut name = format!("{in_c} to {out_c} at {edge} × {edge}, {kernel} × {kernel}");
+        for (what, step) in [("stride", stride), ("dilation", dilation)] {
+            if step > 1 {
+                name += &format!(", {what} {step}");
+            }
+        }
+        if residual {
+            name += ", residual";
+        }
         cases.push(Case::new(name, op, inputs).in_network());
     }
+    cases
+}
+
+/// Sums in which nearly everything cancels, and weights and inputs at the ends of their range.
+fn stiff() -> Vec<Case> {
+    let plain = Conv2d { bias: false, ..Conv2d::default() };
+    let padded = Conv2d { padding: 1, ..plain };
+    let mut cases = Vec::new();
+    // Each output channel's weights with each pixel's channels; those of one number are the stiff ones.
+    for (seed, condition) in [1e4, 1e6, 1e8, 1e10, 1e12].into_iter().enumerate() {
+        let pairs = [0, 1, 2].map(|i| stiff_dot(300 + 10 * seed as u64 + i, 64, condition));
+        let input = Tensor::from_fn([64, 1, 3], |i| pairs[i % 3][1][i / 3]);
+        let weight = Tensor::from_fn([3, 64, 1, 1], |i| pairs[i / 64][0][i % 64]);
+        let dots =
+            Tensor::from_fn([3, 1, 3], |i| exact_dot(&pairs[i / 3][0], &pairs[i % 3][1]) as f32);
+        let name = format!("dot products of condition {condition:e}, exact");
+        cases.push(
+            Case::new(name, plain, vec![input.into(), weight.into()]).by_hand(vec![dots.into()]),
+        );
+    }
+    // From here on as many channels as the fast kernels take, in and out.
+    let (in_c, out_c) = (32, 16);
+    // The same patch again and again: around every third pixel the sum is the stiff one. Each output
+    // channel has half the weights of the one before.
+    for (seed, condition) in [1e4, 1e8, 1e12].into_iter().enumerate() {
+        let taps = in_c * 9;
+        let [x, y] = stiff_dot(400 + seed as u64, taps, condition);
+        let edge = 7;
+        let patch = |c: usize, row: usize, column: usize| y[c * 9 + row % 3 * 3 + column % 3];
+        let input = Tensor::from_fn([in_c, edge, edge], |i| {
+            patch(i / (edge * edge), i / edge % edge, i % edge)
+        });
+        let halved = |i: usize| (-((i / taps) as f32)).exp2();
+        let weight = Tensor::from_fn([out_c, in_c, 3, 3], |i| x[i % taps] * halved(i));
+        let dots = Tensor::from_fn([out_c, edge, edge], |i| {
+            let (o, at) = (i / (edge * edge), i % (edge * edge));
+            let seen = |tap: usize| {
+                let (row, column) = (at / edge + tap / 3 % 3, at % edge + tap % 3);
+                let inside = (1..=edge).contains(&row) && (1..=edge).contains(&column);
+                if inside { patch(tap / 9, row - 1, column - 1) } else { 0.0 }
+            };
+            exact_dot(&x, &(0..taps).map(seen).collect::<Vec<_>>()) as f32 * halved(o * taps)
+        });
+        let name = format!("3 × 3 taps of condition {condition:e}, exact");
+        cases.push(
+            Case::new(name, padded, vec![input.into(), weight.into()]).by_hand(vec![dots.into()]),
+        );
+    }
+    let mut wide = random(310, [out_c, in_c, 3, 3]);
+    for (i, w) in wide.data_mut().iter_mut().enumerate() {
+        *w *= 10f32.powi((i * 7 % 13) as i32 - 6);
+    }
+    let inputs = vec![random(311, [in_c, 9, 10]).into(), wide.into()];
+    cases.push(Case::new("weights of twelve orders of magnitude", padded, inputs));
+    // A batch norm of variance 1e-12 and gains of ±1e3, 0 and 1, folded. What it was made for is a map
+    // near one everywhere, of which the bias leaves next to nothing.
+    let scales = [1e3, -1e3, 0.0, 1.0].map(|gain: f64| gain / (1e-12f64 + 1e-5).sqrt());
+    let taps = random(312, [out_c, in_c, 3, 3]);
+    let each = in_c * 9;
+    let scale = |o: usize| scales[o % 4];
+    let weight = Tensor::from_fn([out_c, in_c, 3, 3], |i| {
+        (f64::from(taps.data()[i]) * scale(i / each)) as f32
+    });
+    let bias = Tensor::from_fn([out_c], |o| {
+        let mean: f64 = taps.data()[o * each..][..each].iter().copied().map(f64::from).sum();
+        (0.125 - mean * scale(o)) as f32
+    });
+    let mut near_one = random(313, [in_c, 9, 11]);
+    near_one.data_mut().iter_mut().for_each(|x| *x = 1.0 + *x / 4096.0);
+    for relu in [false, true] {
+        let op = Conv2d { padding: 1, relu, ..Conv2d::default() };
+        let with = if relu { ", with ReLU" } else { "" };
+        let inputs = vec![near_one.clone().into(), weight.clone().into(), bias.clone().into()];
+        cases.push(Case::new(format!("a batch norm of variance 1e-12 folded{with}"), op, inputs));
+    }
+    // What transforms of tiles make the most of: signs that alternate, against and with the kernel's.
+    for (seed, scale) in [3e4, 1e15].into_iter().enumerate() {
+        for with in [false, true] {
+            let sign = |odd: usize| if odd.is_multiple_of(2) { 1.0 } else { -1.0 };
+            let mut input = random(320 + seed as u64, [in_c, 9, 10]);
+            for (i, x) in input.data_mut().iter_mut().enumerate() {
+                *x = sign(i / 10 % 9 + i % 10) * scale * (1.0 + x.abs() / 64.0);
+            }
+            let mut weight = random(330, [out_c, in_c, 3, 3]);
+            for (i, w) in weight.data_mut().iter_mut().enumerate() {
+                *w = (if with { sign(i % 9) } else { 1.0 }) * (1.0 + w.abs());
+            }
+            let sums = if with { "added" } else { "cancelled" };
+            let name = format!("alternating signs at {scale:e}, {sums}");
+            cases.push(Case::new(name, padded, vec![input.into(), weight.into()]));
+        }
+    }
+    let map = |at: usize, value: f32| -> Value {
+        Tensor::from_fn([in_c, 8, 8], |i| if i == at { value } else { 0.0 }).into()
+    };
+    let kernel = || -> Value { random(340, [out_c, in_c, 3, 3]).into() };
+    cases.push(Case::new("one spike of 1e30", padded, vec![map(91, 1e30), kernel()]));
+    cases.push(
+        Case::new("zeros by hand", padded, vec![map(0, 0.0), kernel()])
+            .by_hand(vec![Tensor::<f32>::zeros([out_c, 8, 8]).into()]),
+    );
+    let mut small = random(341, [in_c, 8, 8]);
+    small.data_mut().iter_mut().for_each(|x| *x *= 1e-39);
+    cases.push(Case::new("subnormal inputs", padded, vec![small.into(), kernel()]));
     cases
 }

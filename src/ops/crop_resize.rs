@@ -302,6 +302,9 @@ fn cases() -> Vec<Case> {
         ("same size", 13, 169, [13, 13, 0, 0, 13]),
         ("63 outputs in a row, a buffer larger than the picture", 63, 5000, [71, 67, 4, 0, 67]),
         ("lower right corner", 65, 31 * 29, [31, 29, 12, 10, 19]),
+        ("1/31.25 of the size", 4, 125 * 125, [125, 125, 0, 0, 125]),
+        ("31.25 times the size", 125, 16, [4, 4, 0, 0, 4]),
+        ("odd to odd, nearly the same", 31, 33 * 35, [35, 33, 1, 0, 33]),
         ("to a fifth, primes", 19, 101 * 97, [101, 97, 4, 0, 97]),
         ("four megapixels to 31", 31, 2048 * 2048, [2048, 2048, 1, 1, 2047]),
     ];

@@ -260,6 +260,7 @@ fn cases() -> Vec<Case> {
             integers([1], &[2]),
         ]),
     );
+    cases.extend(stiff());
     let inputs = vec![
         random_boxes(1000, 100, 320.0, 120.0).into(),
         one_way(1001, [100, 12]).into(),
@@ -300,4 +301,90 @@ fn torchvision() -> Case {
         integers([6], &[1, 2, 1, 2, 1, 2]),
         integers([1], &[6]),
     ])
+}
+
+/// Regions from nothing to a million pixels, and deltas past every number.
+fn stiff() -> Vec<Case> {
+    let op = DecodeDetections { width: 65_536, height: 65_536, ..DecodeDetections::default() };
+    let case = |name: &str, rois: &[[f32; 4]], deltas: &[[f32; 4]]| {
+        let n = rois.len();
+        // The background's deltas come first, and count for nothing.
+        let delta = |i: usize| if i % 8 < 4 { f32::NAN } else { deltas[i / 8][i % 4] };
+        let inputs = vec![
+            values([n, 4], rois.as_flattened()),
+            Tensor::from_fn([n, 8], delta).into(),
+            Tensor::from_fn([n, 2], |_| 0.5).into(),
+            integers([1], &[n as u32]),
+        ];
+        Case::new(name, op, inputs)
+    };
+    let by_hand = |case: Case, boxes: &[[f32; 4]]| {
+        let n = boxes.len();
+        case.by_hand(vec![
+            values([n, 4], boxes.as_flattened()),
+            Tensor::from_fn([n], |_| 0.5).into(),
+            Tensor::from_fn([n], |_| 1u32).into(),
+            integers([1], &[n as u32]),
+        ])
+    };
+    let (nan, inf) = (f32::NAN, f32::INFINITY);
+    let near = 5.0 * crate::cpu::MAX_LOG_SCALE;
+    let roi = [1000.0, 1000.0, 1002.0, 1004.0];
+    vec![
+        case(
+            "a thousandth of a pixel",
+            &[[9.0, 9.0, 9.001, 9.001]; 2],
+            &[[5.0, -5.0, 10.0, -10.0], [0.0; 4]],
+        ),
+        // −10 of 10 times the width of a million bring the first to where it fills the picture.
+        by_hand(
+            case(
+                "a million pixels by hand",
+                &[[1e6, 1e6, 2e6, 2e6], [-1e6, -1e6, 0.0, 1e6]],
+                &[[-10.0, -10.0, 0.0, 0.0], [0.0; 4]],
+            ),
+            &[[0.0, 0.0, 65_536.0, 65_536.0], [0.0, 0.0, 0.0, 65_536.0]],
+        ),
+        case(
+            "a million pixels, back into the picture",
+            &[[1e6, 1e6, 1e6 + 64.0, 1e6 + 32.0]],
+            &[[-150_000.0, -300_000.0, 0.0, 5.0]],
+        ),
+        case(
+            "next to the clamp",
+            &[roi; 4],
+            &[
+                [0.0, 0.0, near, near.next_up()],
+                [0.0, 0.0, near.next_down(), near],
+                [0.0, 0.0, 1e30, 22.0],
+                [0.0, 0.0, -1e30, -440.0],
+            ],
+        ),
+        by_hand(
+            case(
+                "a region of no size by hand",
+                &[[7.0, 5.0, 7.0, 5.0]],
+                &[[3e38, -3e38, 3e38, -3e38]],
+            ),
+            &[[7.0, 5.0, 7.0, 5.0]],
+        ),
+        case(
+            "shifts past every number",
+            &[roi; 2],
+            &[[3e38, -3e38, 88.0, -88.0], [-1e30, 1e30, 0.0, 0.0]],
+        ),
+        by_hand(
+            case(
+                "what is not finite, by hand",
+                &[roi, roi, [nan, 1000.0, 1002.0, 1004.0], [1000.0, 1000.0, 1002.0, inf]],
+                &[[0.0, nan, 0.0, 0.0], [0.0, 0.0, inf, 0.0], [0.0; 4], [0.0; 4]],
+            ),
+            &[
+                [1000.0, nan, 1002.0, nan],
+                [nan, 1000.0, nan, 1004.0],
+                [nan, 1000.0, nan, 1004.0],
+                [1000.0, nan, 1002.0, nan],
+            ],
+        ),
+    ]
 }

@@ -292,6 +292,7 @@ fn cases() -> Vec<Case> {
         values([2, 4], &[0.0, 0.0, 0.0, 0.0, 32.0, 24.0, 32.0, 24.0]),
         values([2], &[0.5, 0.5]),
     ]));
+    cases.extend(stiff());
     let sides = [16.0, 24.0, 32.0, 48.0].map(|s: f32| [s, s / 2.0]).concat();
     let anchors = (0..12).map(|i| {
         let [w, h] = [sides[i % 8], sides[(i + 3) % 8]];
@@ -334,4 +335,92 @@ fn torchvision() -> Case {
         values([4, 4], golden.as_flattened()),
         values([4], &[0.119_202_92, 0.377_540_68, 0.622_459_35, 0.952_574_1]),
     ])
+}
+
+/// Anchors from a thousandth of a pixel to the largest, deltas at the clamp and past every number, logits
+/// where the exponential ends.
+fn stiff() -> Vec<Case> {
+    let op = |anchor: [f32; 4]| DecodeProposals {
+        anchors: vec![anchor],
+        stride: 8,
+        width: 65_536,
+        height: 65_536,
+    };
+    // One row of cells, 8 pixels apart, each with its column of deltas.
+    let case = |name: &str, anchor: [f32; 4], deltas: [&[f32]; 4], logits: &[f32]| {
+        let k = logits.len();
+        let inputs = vec![
+            values([4, 1, k], &deltas.concat()),
+            values([k], logits),
+            Tensor::from_fn([k], |i| i as u32).into(),
+            integers([1], &[k as u32]),
+        ];
+        Case::new(name, op(anchor), inputs)
+    };
+    let near = crate::cpu::MAX_LOG_SCALE;
+    let (below, above) = (near.next_down(), near.next_up());
+    let (nan, inf) = (f32::NAN, f32::INFINITY);
+    let (six, four) = ([0.0; 6], [0.0; 4]);
+    let far = [1000.0, 1000.0, 1002.0, 1004.0];
+    let thousandth = [500.0, 500.0, 500.001, 500.001];
+    let shifted =
+        |i: usize| far[i % 4] + if i.is_multiple_of(2) { 8.0 * (i / 4) as f32 } else { 0.0 };
+    let lost = [
+        [nan, 1000.0, nan, 1004.0],
+        [1008.0, nan, 1010.0, nan],
+        [nan, 1000.0, nan, 1004.0],
+        [1024.0, nan, 1026.0, nan],
+    ];
+    vec![
+        // e^-88 is subnormal, and e^-104 less than half of the least number.
+        case(
+            "logits of ±88, ±104, ±1e3 by hand",
+            far,
+            [&six; 4],
+            &[88.0, -88.0, 104.0, -104.0, 1e3, -1e3],
+        )
+        .by_hand(vec![
+            Tensor::from_fn([6, 4], shifted).into(),
+            values([6], &[1.0, 6.054_602e-39, 1.0, 0.0, 1.0, 0.0]),
+        ]),
+        case(
+            "next to the clamp",
+            far,
+            [&four, &four, &[near, below, above, 5.0], &[below, near, 88.0, above]],
+            &four,
+        ),
+        case(
+            "a thousandth of a pixel",
+            thousandth,
+            [&[0.5, -0.5, 7.0, 1e3], &four, &[4.0, -4.0, 0.0, 1.0], &four],
+            &four,
+        ),
+        case(
+            "the largest anchor by hand",
+            [-65_536.0, -65_536.0, 65_536.0, 65_536.0],
+            [&[0.0]; 4],
+            &[0.0],
+        )
+        .by_hand(vec![values([1, 4], &[0.0, 0.0, 65_536.0, 65_536.0]), values([1], &[0.5])]),
+        // A million pixels away, and further than numbers go: at the picture's edges.
+        case(
+            "shifts past every number",
+            far,
+            [&[3e38, -3e38, 5e5, -5e5], &four, &[88.0, -88.0, -1e30, 1e30], &four],
+            &four,
+        ),
+        // Each in its column: the other axis stays, and no clamp makes a number of it.
+        case(
+            "deltas that are not finite, by hand",
+            far,
+            [
+                &[nan, 0.0, 0.0, 0.0],
+                &[0.0, inf, 0.0, 0.0],
+                &[0.0, 0.0, nan, 0.0],
+                &[0.0, 0.0, 0.0, -inf],
+            ],
+            &four,
+        )
+        .by_hand(vec![values([4, 4], lost.as_flattened()), values([4], &[0.5; 4])]),
+    ]
 }

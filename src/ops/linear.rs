@@ -3,7 +3,9 @@
 use crate::cpu;
 use crate::error::{Error, Result};
 use crate::ops::bounds::{Joined, SumOrder, magnitude};
-use crate::ops::case::{Case, integers, one_way, one_way_sum, random, values};
+use crate::ops::case::{
+    Case, exact_dot, integers, one_way, one_way_sum, random, stiff_dot, values,
+};
 use crate::ops::count::{expect_count, live};
 use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
@@ -196,6 +198,17 @@ fn cases() -> Vec<Case> {
     }
     let inputs = vec![wide.into(), random(98, [9, 250]).into(), random(97, [9]).into()];
     cases.push(Case::new("twelve orders of magnitude", plain, inputs));
+    for (seed, condition) in [1e4, 1e8, 1e12].into_iter().enumerate() {
+        let pairs = [0, 1, 2].map(|i| stiff_dot(300 + 10 * seed as u64 + i, 250, condition));
+        let rows = |which: usize| -> Value {
+            Tensor::from_fn([3, 250], |i| pairs[i / 250][which][i % 250]).into()
+        };
+        let dots =
+            Tensor::from_fn([3, 3], |i| exact_dot(&pairs[i % 3][1], &pairs[i / 3][0]) as f32);
+        let inputs = vec![rows(0), rows(1), values([3], &[0.0; 3])];
+        let name = format!("dot products of condition {condition:e}, exact");
+        cases.push(Case::new(name, plain, inputs).by_hand(vec![dots.into()]));
+    }
     let layers = [
         (vec![100, 256, 7, 7], 512, true),
         (vec![100, 512], 512, true),

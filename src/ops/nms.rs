@@ -314,6 +314,7 @@ fn cases() -> Vec<Case> {
         ),
         Case::new("one", half, vec![random_boxes(1, 1, 9.0, 9.0).into(), ranks(1)]),
     ];
+    cases.extend(stiff());
     // (name, boxes, extent, side, op)
     let third = Nms { iou_threshold: 0.3, ..half };
     let sets = [
@@ -359,4 +360,78 @@ fn cases() -> Vec<Case> {
     ];
     cases.push(Case::new("the detections", detections, inputs).in_network());
     cases
+}
+
+/// As many boxes as there may be, all alike in one way or another.
+fn stiff() -> Vec<Case> {
+    const N: usize = 1000;
+    let half = Nms::default();
+    let boxes = |of: &dyn Fn(usize) -> [f32; 4]| -> Value {
+        Tensor::from_fn([N, 4], |i| of(i / 4)[i % 4]).into()
+    };
+    let falling = || -> Value { Tensor::from_fn([N], |i| -(i as f32)).into() };
+    let equal = || -> Value { Tensor::from_fn([N], |_| 0.5).into() };
+    let case = |name: &str, op: Nms, boxes: Value, scores: Value, keep: &[u32]| {
+        let mut all = keep.to_vec();
+        all.resize(N, 0);
+        Case::new(name, op, vec![boxes, scores])
+            .by_hand(vec![integers([N], &all), integers([1], &[keep.len() as u32])])
+    };
+    let every_second: Vec<u32> = (0..N as u32).step_by(2).collect();
+    let all: Vec<u32> = (0..N as u32).collect();
+    let from_behind: Vec<u32> = all.iter().rev().copied().collect();
+    // 10 × 10 in a row, so many pixels apart.
+    let row = |step: f32| move |i: usize| [step * i as f32, 0.0, step * i as f32 + 10.0, 10.0];
+    vec![
+        case(
+            "1000 identical boxes by hand",
+            half,
+            boxes(&|_| [1.0, 2.0, 9.0, 8.0]),
+            falling(),
+            &[0],
+        ),
+        case(
+            "1000 identical boxes with one score, by hand",
+            half,
+            boxes(&|_| [1.0, 2.0, 9.0, 8.0]),
+            equal(),
+            &[0],
+        ),
+        // Neighbours share 7 of 13, the next but one 4 of 16: each that stays drops the next alone.
+        case("a chain of 1000 by hand", half, boxes(&row(3.0)), falling(), &every_second),
+        // 5 of 15 is exactly the third only where nothing rounds; 6 · 10 of 200 − 60 is 3/7.
+        case("1000 just below the threshold by hand", half, boxes(&row(4.0)), falling(), &all),
+        case("ties by index, by hand", half, boxes(&row(20.0)), equal(), &all),
+        case(
+            "the last first, by hand",
+            half,
+            boxes(&row(20.0)),
+            Tensor::from_fn([N], |i| i as f32).into(),
+            &from_behind,
+        ),
+        // The same chain a million pixels away, and in thousandths (powers of two, so that nothing
+        // rounds).
+        case(
+            "a chain at 1e6 by hand",
+            half,
+            boxes(&|i| row(3.0)(i).map(|x| x + 1_048_576.0)),
+            falling(),
+            &every_second,
+        ),
+        case(
+            "a chain of boxes of 1e-2 by hand",
+            half,
+            boxes(&|i| row(3.0)(i).map(|x| x / 1024.0)),
+            falling(),
+            &every_second,
+        ),
+        // No comparison with NaN holds, so that such a box has not the least width.
+        case(
+            "every second box NaN, by hand",
+            half,
+            boxes(&|i| if i % 2 == 1 { [f32::NAN; 4] } else { row(20.0)(i) }),
+            equal(),
+            &every_second,
+        ),
+    ]
 }

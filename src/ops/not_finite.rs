@@ -124,11 +124,16 @@ fn cases() -> Vec<Case> {
         Case::new("nothing but NaN", ALL, vec![values([4097], &[nan; 4097])])
             .by_hand(vec![integers([2], &[4096, 1])]),
     ];
-    // What the network looks at: class and box of each anchor, the weights of the scales, and of each
-    // proposal the probabilities and the deltas. In half precision 10⁶ is infinite.
+    // What the network looks at: class and box of each anchor, what the stages pool, the weights of the
+    // scales, and of each proposal the probabilities and the deltas. In half precision 10⁶ is infinite.
     for (seed, dims) in [(1000, [12, 40, 40]), (1001, [48, 40, 40])] {
         let name = format!("{} channels of the proposals", dims[0]);
         cases.push(Case::new(name, ALL, vec![random_scaled(seed, dims, 1e6)]).in_network());
+    }
+    for (seed, channels) in [(1010, 64), (1011, 128), (1012, 256), (1013, 512)] {
+        let name = format!("the pooled channels of a stage, {channels}");
+        let pooled = random_scaled(seed, [2, channels], 1e6);
+        cases.push(Case::new(name, ALL, vec![pooled]).in_network());
     }
     let scales = vec![random_scaled(1002, [3], 1e6)];
     cases.push(Case::new("the scales", ALL, scales).in_network());

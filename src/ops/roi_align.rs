@@ -267,6 +267,7 @@ fn cases() -> Vec<Case> {
             vec![random(2, [5, 1, 1]).into(), random_boxes(3, 7, 3.0, 2.5).into()],
         ),
     ];
+    cases.extend(stiff());
     // (name, features, boxes, extent, side, P, ratio, count)
     let sets = [
         ("63 invocations", [9, 11, 13], 7, 50.0, 30.0, 3, 2, 7),
@@ -295,6 +296,44 @@ fn cases() -> Vec<Case> {
     let inputs =
         vec![features.into(), random_boxes(1001, 100, 320.0, 120.0).into(), integers([1], &[100])];
     cases.push(Case::new("the RoI head", head, inputs).in_network());
+    cases
+}
+
+/// Boxes of no area, of one pixel, outside, and as wide as it gets.
+fn stiff() -> Vec<Case> {
+    let op = RoiAlign { spatial_scale: 1.0, output_size: 2, sampling_ratio: 2, count: false };
+    let ramp = || -> Value { Tensor::from_fn([1, 4, 4], |i| (10 * (i / 4) + i % 4) as f32).into() };
+    let case = |name: &str, op: RoiAlign, b: [f32; 4]| {
+        Case::new(name, op, vec![ramp(), values([1, 4], &b)])
+    };
+    let four = |bins: [f32; 4]| vec![values([1, 1, 2, 2], &bins)];
+    let seven = RoiAlign { spatial_scale: 0.125, output_size: 7, ..op };
+    let one = RoiAlign { output_size: 1, sampling_ratio: 1, ..op };
+    let mut cases = vec![
+        // All samples at (2 − 1/2, 1 − 1/2): 10 · 0.5 + 1.5.
+        case("an empty box by hand", op, [2.0, 1.0, 2.0, 1.0]).by_hand(four([6.5; 4])),
+        // From 1/2 to 3/2: bins around 3/4 and 5/4 on each axis.
+        case("one pixel by hand", op, [1.0, 1.0, 2.0, 2.0])
+            .by_hand(four([8.25, 8.75, 13.25, 13.75])),
+        case("outside to the right by hand", op, [6.0, 0.0, 9.0, 3.0]).by_hand(four([0.0; 4])),
+        case("outside above by hand", op, [0.0, -9.0, 3.0, -2.0]).by_hand(four([0.0; 4])),
+        // From the right to the left: the bins of [1, 1, 2, 2] with columns exchanged.
+        case("inverted by hand", op, [2.0, 1.0, 1.0, 2.0])
+            .by_hand(four([8.75, 8.25, 13.75, 13.25])),
+        // The nearest samples are 2.5e8 away.
+        case("±1e9 by hand", op, [-1e9, -1e9, 1e9, 1e9]).by_hand(four([0.0; 4])),
+        case("far away by hand", op, [1e9, 1e9, 1e9 + 64.0, 1e9 + 64.0]).by_hand(four([0.0; 4])),
+        // Its one sample is in the middle, give or take what 1e9 rounds.
+        case("one sample of ±1e9", one, [-1e9, -1e9, 1e9, 1e9]),
+        case("±1e9 beside", seven, [-1e9, 3.0, 1e9, 20.0]),
+        case("a thousandth of a pixel", op, [1.5, 1.5, 1.501, 1.501]),
+    ];
+    let mut steep = random(300, [3, 9, 8]);
+    for (i, x) in steep.data_mut().iter_mut().enumerate() {
+        *x = if (i / 8 + i % 8).is_multiple_of(2) { 1e30 } else { -1e30 } * (1.0 + *x / 8.0);
+    }
+    let inputs = vec![steep.into(), random_boxes(301, 9, 64.0, 50.0).into()];
+    cases.push(Case::new("alternating signs at 1e30", seven, inputs));
     cases
 }
 

@@ -152,6 +152,13 @@ fn cases() -> Vec<Case> {
             logits(0.0, &[0.0; 6], &[1e4, -1e4, 0.0]),
         )
         .by_hand(vec![values([3], &[1.0, 0.0, 0.0])]),
+        // e^-80 is 1.8e-35.
+        Case::new(
+            "one scale by e^80, by hand",
+            ScaleWeights,
+            logits(0.0, &[0.0; 6], &[0.0, 80.0, 0.0]),
+        )
+        .by_hand(vec![values([3], &[1.804_851_4e-35, 1.0, 1.804_851_4e-35])]),
         Case::new(
             "equal logits of -1e30 by hand",
             ScaleWeights,

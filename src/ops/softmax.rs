@@ -2,7 +2,7 @@
 
 use crate::cpu;
 use crate::error::{Error, Result};
-use crate::ops::case::{Case, integers, one_way, random, values};
+use crate::ops::case::{Case, integers, one_way, random, random_scaled, values};
 use crate::ops::count::{expect_count, live};
 use crate::ops::op::{EPS, Entry, Op, Tolerance, dims};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
@@ -91,7 +91,8 @@ impl Op for Softmax {
         let each = rows.flat_map(|(row, shares)| {
             let highest = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
             let distance = |x: f32| f64::from(highest) - f64::from(x);
-            let power = |x: f32| 6.0 + 7.0 * distance(x) / f64::from(self.temperature);
+            // A share of zero is so for certain, however wide its gap.
+            let power = |x: f32| 6.0 + 7.0 * distance(x).min(1e6) / f64::from(self.temperature);
             let sum: f64 = row.iter().zip(shares).map(|(x, s)| f64::from(*s) * power(*x)).sum();
             let fixed = sum + columns as f64 + 6.0;
             row.iter()
@@ -164,11 +165,53 @@ fn cases() -> Vec<Case> {
         let inputs = vec![input.into(), integers([1], &[rows as u32])];
         cases.push(Case::new(format!("{rows} × {columns}"), counted, inputs));
     }
+    cases.extend(stiff());
     let mut input = random(99, [31, 7]);
     input.data_mut().iter_mut().for_each(|x| *x *= 20.0);
     let warm = Softmax { temperature: 1.37, ..all };
     cases.push(Case::new("a temperature that rounds", warm, vec![input.into()]));
     let inputs = vec![one_way(1000, [100, 3]).into(), integers([1], &[100])];
     cases.push(Case::new("the regions' classes", counted, inputs).in_network());
+    cases
+}
+
+/// Gaps of all sizes, between which exp goes from 1 to 0.
+fn stiff() -> Vec<Case> {
+    let all = Softmax::default();
+    let row = |name: &str, x: &[f32], shares: &[f32]| {
+        Case::new(name, all, vec![values([1, x.len()], x)])
+            .by_hand(vec![values([1, x.len()], shares)])
+    };
+    let infinite = f32::NEG_INFINITY;
+    let mut cases = vec![
+        row("±1e4 by hand", &[1e4, -1e4, 1e4], &[0.5, 0.0, 0.5]),
+        row("91 equal by hand", &[-1e4; 91], &[1.0 / 91.0; 91]),
+        // From one to the other is more than f32 holds.
+        row("a gap that overflows, by hand", &[3e38, -3e38, 3e38], &[0.5, 0.0, 0.5]),
+        row("an infinite gap by hand", &[infinite, 1.0, 1.0], &[0.0, 0.5, 0.5]),
+        // e^-80 is 1.8e-35.
+        row("one by e^80, by hand", &[80.0, 0.0, 0.0], &[1.0, 1.804_851_4e-35, 1.804_851_4e-35]),
+        // Where e^x turns subnormal, and where it is nothing.
+        Case::new(
+            "the end of exp",
+            all,
+            vec![values([1, 7], &[0.0, -87.0, -88.0, -103.0, -104.0, -105.0, -1e3])],
+        ),
+        // Numbers of which the next is 1/16 away.
+        Case::new(
+            "neighbours at 1e6",
+            all,
+            vec![Tensor::from_fn([5, 3], |i| 1e6 + (i * i % 7) as f32 / 16.0).into()],
+        ),
+    ];
+    for (seed, columns) in [(300, 3), (301, 91)] {
+        for scale in [1.0, 1e4] {
+            let input = random_scaled(seed, [13, columns], scale);
+            cases.push(Case::new(format!("{columns} classes to ±{scale:e}"), all, vec![input]));
+        }
+    }
+    let cold = Softmax { temperature: 1e-3, ..all };
+    let input = random_scaled(302, [7, 91], 1e4);
+    cases.push(Case::new("91 classes to ±1e4 at temperature 1e-3", cold, vec![input]));
     cases
 }

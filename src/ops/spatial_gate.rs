@@ -113,6 +113,30 @@ fn cases() -> Vec<Case> {
         )
         .by_hand(vec![values([1, 1, 4], &[1.0, 0.0, 1.0, 0.0])]),
     ];
+    let logits = [88.0, -88.0, 104.0, -104.0, 1e3, -1e3];
+    let map = Tensor::from_fn([2, 1, 6], |i| if i < 6 { logits[i] } else { 7.0 });
+    cases.push(
+        Case::new(
+            "±88, ±104, ±1e3 by hand",
+            SpatialGate,
+            vec![map.into(), tap(0, 3, 3, 1.0), values([1], &[0.0])],
+        )
+        .by_hand(vec![values([1, 1, 6], &[1.0, 6.054_602e-39, 1.0, 0.0, 1.0, 0.0])]),
+    );
+    // A map of one value, of none, and of one pixel.
+    let kernel = || -> Value { random(90, [1, 2, 7, 7]).into() };
+    let flat = |value: f32, at: Option<usize>| -> Value {
+        let spike = |i: usize| if at.is_none_or(|at| at == i) { value } else { 0.0 };
+        Tensor::from_fn([2, 11, 13], spike).into()
+    };
+    let zeros = vec![flat(0.0, None), kernel(), values([1], &[0.0])];
+    cases.push(
+        Case::new("zeros by hand", SpatialGate, zeros)
+            .by_hand(vec![values([1, 11, 13], &[0.5; 143])]),
+    );
+    for (name, map) in [("a constant map", flat(0.1, None)), ("one spike", flat(1e4, Some(200)))] {
+        cases.push(Case::new(name, SpatialGate, vec![map, kernel(), values([1], &[0.25])]));
+    }
     let shapes = [
         ("one pixel", [2, 1, 1], 1.0),
         ("narrower than the kernel", [2, 5, 2], 1.0),

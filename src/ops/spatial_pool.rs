@@ -7,7 +7,7 @@ use crate::ops::case::{Case, GATED_MAPS, STACKED, one_way, random, random_scaled
 use crate::ops::op::{Entry, Op, Tolerance, expect, map_dims};
 use crate::ops::params::{Params as Named, Settings};
 use crate::shape::TensorSpec;
-use crate::tensor::Value;
+use crate::tensor::{Tensor, Value};
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
@@ -128,6 +128,26 @@ fn cases() -> Vec<Case> {
         let inputs = vec![random_scaled(seed, [11, 5, 7], scale), random(seed + 1, [11]).into()];
         cases.push(Case::new(format!("{scale:e}"), SpatialPool, inputs));
     }
+    // Constant, zero, and one pixel of one channel: 160 · 0.5 is the largest of 16 and 5 on average.
+    let gates = || -> Value { Tensor::from_fn([16], |_| 0.5).into() };
+    let map = |of: &dyn Fn(usize) -> f32| -> Value { Tensor::from_fn([16, 4, 5], of).into() };
+    let pixels = |of: &dyn Fn(usize) -> [f32; 2]| -> Value {
+        Tensor::from_fn([2, 4, 5], |i| of(i % 20)[i / 20]).into()
+    };
+    let constant = map(&|_| 0.25);
+    cases.push(
+        Case::new("a constant map by hand", SpatialPool, vec![constant, gates()])
+            .by_hand(vec![pixels(&|_| [0.125; 2])]),
+    );
+    cases.push(
+        Case::new("zeros by hand", SpatialPool, vec![map(&|_| 0.0), gates()])
+            .by_hand(vec![pixels(&|_| [0.0; 2])]),
+    );
+    let spike = map(&|i| if i == 11 * 20 + 7 { 160.0 } else { 0.0 });
+    let want = pixels(&|at| if at == 7 { [80.0, 5.0] } else { [0.0; 2] });
+    cases.push(
+        Case::new("one spike by hand", SpatialPool, vec![spike, gates()]).by_hand(vec![want]),
+    );
     let mut offset = random(98, [31, 6, 7]);
     offset.data_mut().iter_mut().for_each(|x| *x += 1e4);
     let inputs = vec![offset.into(), random(99, [31]).into()];

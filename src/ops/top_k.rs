@@ -170,6 +170,29 @@ fn cases() -> Vec<Case> {
             integers([9], &[5, 8, 4, 1, 2, 7, 6, 3, 0]),
             integers([1], &[9]),
         ]),
+        // NaNs of either sign are equal and the lowest, in the order of their places.
+        Case::new(
+            "NaNs among numbers by hand",
+            all(6),
+            vec![values([6], &[f32::NAN, 1.0, -f32::NAN, f32::NEG_INFINITY, 2.0, f32::NAN])],
+        )
+        .by_hand(vec![
+            values([6], &[2.0, 1.0, f32::NEG_INFINITY, f32::NAN, -f32::NAN, f32::NAN]),
+            integers([6], &[4, 1, 3, 0, 2, 5]),
+            integers([1], &[6]),
+        ]),
+        // Each of the 500 least numbers: place i holds number 7i modulo 500, and one. As 7 · 143 is 1
+        // there, number n is in place 143n. A device that flushes them sees them all equal.
+        Case::new(
+            "subnormal differences by hand",
+            all(500),
+            vec![Tensor::from_fn([500], |i| f32::from_bits((i as u32 * 7) % 500 + 1)).into()],
+        )
+        .by_hand(vec![
+            Tensor::from_fn([500], |i| f32::from_bits(500 - i as u32)).into(),
+            Tensor::from_fn([500], |i| (499 - i as u32) * 143 % 500).into(),
+            integers([1], &[500]),
+        ]),
         Case::new("one", all(1), vec![values([1], &[-3.0])]),
         Case::new("k above the number", all(1000), vec![random(1, [7]).into()]),
         Case::new("nothing counted", counted(5), vec![random(2, [9]).into(), integers([1], &[0])]),

@@ -146,6 +146,8 @@ fn cases() -> Vec<Case> {
         ("65 outputs: a workgroup and one", [1, 4, 3], to(13, 5)),
         ("same size", [3, 9, 8], to(9, 8)),
         ("smaller", [3, 23, 29], to(7, 5)),
+        ("31.25 times the size", [4, 4, 4], to(125, 125)),
+        ("1/31.25 of the size", [4, 125, 125], to(4, 4)),
         ("to the longest edge", [1, 1, 3], to(1, MAX_EDGE)),
         ("quads side by side", STACKED, to(67, 5)),
     ];

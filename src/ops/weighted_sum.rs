@@ -109,6 +109,17 @@ fn cases() -> Vec<Case> {
         )
         .by_hand(vec![values([1, 1, 1], &[54_321.0])]),
     ];
+    // One scale by e^80: of the others nothing is left.
+    let map = |value: f32| values([4, 1, 2], &[value; 8]);
+    let weights = values([3], &[1.804_851_4e-35, 1.0, 1.804_851_4e-35]);
+    cases.push(
+        Case::new(
+            "one scale by e^80, by hand",
+            WeightedSum { maps: 3 },
+            vec![weights, map(1e4), map(0.25), map(-1e4)],
+        )
+        .by_hand(vec![map(0.25)]),
+    );
     let shapes = [
         ("one map, one element", 1, [1, 1, 1], 1.0),
         ("two maps, 63 elements: a workgroup less one", 2, [7, 3, 3], 1.0),

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use smr_gpu::check::check;
+use smr_gpu::check::{Selection, Target, rows};
 use smr_gpu::gpu::{Gpu, GpuOptions};
 use smr_gpu::graph::Graph;
 use smr_gpu::kernels::Caps;
@@ -23,15 +23,14 @@ pub fn gpu() -> &'static Arc<Gpu> {
 #[allow(dead_code, reason = "not every test crate runs operations")]
 pub fn check_op(name: &str) {
     let entry = ops::find(name).expect("a registered operation");
-    let cases = (entry.cases)();
-    assert!(cases.iter().any(|c| c.by_hand.is_some()), "{name} has no case by hand");
-    let mut failures = Vec::new();
-    for case in &cases {
-        match check(gpu(), case) {
-            Ok(report) => failures.extend(report.failures),
-            Err(e) => failures.push(format!("{} / {}: {e}", name, case.name)),
-        }
-    }
+    assert!((entry.cases)().iter().any(|c| c.by_hand.is_some()), "{name} has no case by hand");
+    let target = Target::Gpu(gpu().clone());
+    let rows = rows(&target, entry, &Selection::default()).expect("a device that stays");
+    assert!(
+        rows.iter().any(|row| row.cases == (entry.cases)().len()),
+        "{name}: a case ran nowhere"
+    );
+    let failures: Vec<String> = rows.into_iter().flat_map(|row| row.failures).collect();
     assert!(failures.is_empty(), "{}", failures.join("\n"));
 }
 

@@ -23,12 +23,24 @@ fn iou_above(a: vec4<f32>, b: vec4<f32>, threshold: f32, zero: u32) -> bool {
     return overlap > rounded(threshold * rounded(both - overlap, zero), zero);
 }
 
-// The box that `deltas` (dx, dy, dw, dh) make of `anchor`, clipped to [0, extent].
+const QUIET_NAN: u32 = 0x7fc00000u;
+
+// By their bits, as WGSL may take all numbers for finite.
+fn not_finite(x: vec2<f32>) -> vec2<bool> {
+    return (bitcast<vec2<u32>>(x) & vec2<u32>(0x7f800000u)) == vec2<u32>(0x7f800000u);
+}
+
+// The box that `deltas` (dx, dy, dw, dh) make of `anchor`, clipped to [0, extent]. On an axis where
+// anything is not finite both sides are NaN: a clip or a least would make numbers of them.
 fn decode_box(anchor: vec4<f32>, deltas: vec4<f32>, extent: vec2<f32>) -> vec4<f32> {
     let size = anchor.zw - anchor.xy;
     let centre = anchor.xy + 0.5 * size + deltas.xy * size;
     let half = 0.5 * exp(min(deltas.zw, vec2<f32>(MAX_LOG_SCALE))) * size;
     let low = clamp(centre - half, vec2<f32>(0.0), extent);
     let high = clamp(centre + half, vec2<f32>(0.0), extent);
-    return vec4<f32>(low, high);
+    let lost = not_finite(anchor.xy) | not_finite(anchor.zw) | not_finite(deltas.xy)
+        | not_finite(deltas.zw);
+    let low_bits = select(bitcast<vec2<u32>>(low), vec2<u32>(QUIET_NAN), lost);
+    let high_bits = select(bitcast<vec2<u32>>(high), vec2<u32>(QUIET_NAN), lost);
+    return bitcast<vec4<f32>>(vec4<u32>(low_bits, high_bits));
 }

@@ -271,7 +271,7 @@ fn look_at(
     Ok(set)
 }
 
-pub(super) fn style() -> ProgressStyle {
+fn style() -> ProgressStyle {
     ProgressStyle::with_template("{pos}/{len} pictures {wide_bar} {eta} left")
         .unwrap_or_else(|_| ProgressStyle::default_bar())
 }

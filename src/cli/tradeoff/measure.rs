@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use image::DynamicImage;
-use indicatif::ProgressBar;
+use indicatif::{ProgressBar, ProgressStyle};
 use smr_gpu::comparison::relative_l2;
 use smr_gpu::detector::Stages;
 use smr_gpu::metrics::{Areas, PictureBoxes, ScoredBox, average_precision, box_iou, center};
@@ -14,8 +14,9 @@ use smr_gpu::tradeoff::{Measured, Quality, Setup, Shift, Spread, StageError, Tab
 use smr_gpu::{Config, Detection, Detections, Frame, GpuDetector};
 
 use super::super::detector;
-use super::super::eval::{Labelled, style};
+use super::super::eval::Labelled;
 use super::super::exit::{Exit, Failure};
+use super::super::output::tell;
 use super::super::picture;
 use super::super::source::Source;
 use super::setups::{Plan, configured};
@@ -60,8 +61,7 @@ pub(super) fn measure(
     stopped: &AtomicBool,
 ) -> Result<Table, Failure> {
     let stop = || stopped.load(Ordering::Relaxed);
-    let progress = ProgressBar::new(pictures.len() as u64).with_style(style());
-    progress.set_message("the base in f64");
+    let progress = bar(pictures.len(), "the base in f64");
     let reference = build(&Setup { device: "reference".into(), ..plan.base.clone() }, false)?;
     let mut samples = Vec::new();
     for labelled in pictures {
@@ -81,24 +81,43 @@ pub(super) fn measure(
     let mut runners = Vec::new();
     let mut goldens = HashMap::new();
     prepare(&plan.single, &samples, &mut goldens, &mut runners, &stop)?;
-    run(&mut runners, &samples, 0..first, &stop)?;
-    let rows = runners.iter().map(|r| row(r, &samples, classes)).collect();
-    let more = plan.combinations(rows);
+    run(&mut runners, &samples[..first], &stop);
+    let (rows, seen) = judged(&mut runners, &samples, classes);
+    let before = plan.table(rows, seen, stop());
+    if before.stopped {
+        return Ok(before);
+    }
     let mut joined = Vec::new();
-    prepare(&more, &samples, &mut goldens, &mut joined, &stop)?;
+    prepare(&plan.combinations(&before), &samples, &mut goldens, &mut joined, &stop)?;
     // They see what the others have seen, side by side with them.
-    runners.iter_mut().for_each(Runner::forget);
     runners.append(&mut joined);
-    run(&mut runners, &samples, 0..samples.len(), &stop)?;
-    let seen = runners.iter().map(|r| r.found.len()).min().unwrap_or(0);
-    // A setup that was stopped on its way saw fewer: all are judged on what all have seen.
-    runners.iter_mut().for_each(|r| r.found.truncate(seen));
-    let rows = runners.iter().filter(|r| !r.wall_ms.is_empty());
-    let rows = rows.map(|r| row(r, &samples, classes)).collect();
-    Ok(plan.table(rows, seen, stop()))
+    runners.iter_mut().for_each(Runner::forget);
+    run(&mut runners, &samples, &stop);
+    let (rows, seen) = judged(&mut runners, &samples, classes);
+    // Stopped soon after, the first round says more.
+    match seen < before.pictures {
+        true => Ok(Table { stopped: true, ..before }),
+        false => Ok(plan.table(rows, seen, stop())),
+    }
 }
 
-/// Builds the setups' detectors, and measures what takes a process or a build of its own.
+/// A row each, on the pictures that all have seen: a setup that was stopped on its way saw fewer.
+fn judged(
+    runners: &mut [Runner],
+    samples: &[Sample],
+    classes: &[String],
+) -> (Vec<Measured>, usize) {
+    let seen = runners.iter().map(|r| r.found.len()).min().unwrap_or(0);
+    runners.iter_mut().for_each(|r| r.found.truncate(seen));
+    let rows = runners.iter().filter(|_| seen > 0).map(|r| row(r, samples, classes));
+    (rows.collect(), seen)
+}
+
+/// Builds the setups' detectors, and measures what takes a process or a build of its own. A setup that
+/// cannot run here is left out, with a line that says why.
+///
+/// # Errors
+/// What the reference of a network returns.
 fn prepare(
     setups: &[Setup],
     samples: &[Sample],
@@ -106,7 +125,7 @@ fn prepare(
     runners: &mut Vec<Runner>,
     stop: &dyn Fn() -> bool,
 ) -> Result<(), Failure> {
-    let progress = ProgressBar::new(setups.len() as u64).with_style(style());
+    let progress = bar(setups.len(), "making ready");
     for setup in setups {
         if stop() || samples.is_empty() {
             break;
@@ -121,44 +140,10 @@ fn prepare(
                 goldens.entry(setup.what()).or_insert(golden?)
             }
         };
-        let errors = {
-            let keeping = build(setup, true)?;
-            let got: Result<Vec<_>, _> = few.iter().map(|s| stages(&keeping, s)).collect();
-            stage_errors(&got?, golden)
-        };
-        let detector = build(setup, false)?;
-        // Warm: compiled, uploaded, its buffers there.
-        look(&detector, few[0].labelled, &few[0].picture)?;
-        let Source::File(file) = &few[0].labelled.source else { continue };
-        runners.push(Runner {
-            setup: setup.clone(),
-            detector,
-            peak_bytes: peak::of(setup, file),
-            stages: errors,
-            wall_ms: Vec::new(),
-            device_ms: Vec::new(),
-            found: Vec::new(),
-        });
-        progress.inc(1);
-    }
-    progress.finish_and_clear();
-    Ok(())
-}
-
-/// Each picture by each setup in turn, so that a machine that changes its speed does so for all.
-fn run(
-    runners: &mut [Runner],
-    samples: &[Sample],
-    range: std::ops::Range<usize>,
-    stop: &dyn Fn() -> bool,
-) -> Result<(), Failure> {
-    let progress = ProgressBar::new(range.len() as u64).with_style(style());
-    for at in range {
-        for runner in runners.iter_mut() {
-            if stop() {
-                break;
-            }
-            runner.reach(at, samples)?;
+        progress.set_message(format!("making ready: {}", setup.name()));
+        match Runner::new(setup, few, golden) {
+            Ok(runner) => runners.push(runner),
+            Err(e) => left_out(setup, &e),
         }
         progress.inc(1);
     }
@@ -166,7 +151,55 @@ fn run(
     Ok(())
 }
 
+/// A bar of so many steps; nothing where stderr is no terminal.
+fn bar(steps: usize, what: &str) -> ProgressBar {
+    let style = ProgressStyle::with_template("{pos}/{len} {msg} {wide_bar} {eta} left");
+    let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::new(steps as u64).with_style(style).with_message(what.to_owned())
+}
+
+fn left_out(setup: &Setup, why: &Failure) {
+    let why = why.message.as_deref().unwrap_or("no reason");
+    tell(format!("left out: {}: {why}", setup.name()));
+}
+
+/// Each picture by each setup in turn, so that a machine that changes its speed does so for all. A setup
+/// that fails on one is left out from there on.
+fn run(runners: &mut Vec<Runner>, samples: &[Sample], stop: &dyn Fn() -> bool) {
+    let progress = bar(samples.len(), "pictures");
+    for at in 0..samples.len() {
+        runners.retain_mut(|runner| {
+            let reached = if stop() { Ok(()) } else { runner.reach(at, samples) };
+            reached.inspect_err(|e| left_out(&runner.setup, e)).is_ok()
+        });
+        progress.inc(1);
+    }
+    progress.finish_and_clear();
+}
+
 impl Runner {
+    /// A setup made ready. Its stages are compared on `few` pictures with those of the f64 reference,
+    /// `golden`.
+    fn new(setup: &Setup, few: &[Sample], golden: &[Stages]) -> Result<Self, Failure> {
+        let stages = {
+            let keeping = build(setup, true)?;
+            let got: Result<Vec<_>, _> = few.iter().map(|s| stages(&keeping, s)).collect();
+            stage_errors(&got?, golden)
+        };
+        let detector = build(setup, false)?;
+        // Warm: compiled, uploaded, its buffers there.
+        look(&detector, few[0].labelled, &few[0].picture)?;
+        let peak_bytes = match &few[0].labelled.source {
+            Source::File(file) => peak::of(setup, file)
+                .inspect_err(|e| tell(format!("no peak memory of {}: {e}", setup.name())))
+                .ok()
+                .flatten(),
+            _ => None,
+        };
+        let (wall_ms, device_ms, found) = (Vec::new(), Vec::new(), Vec::new());
+        Ok(Self { setup: setup.clone(), detector, peak_bytes, stages, wall_ms, device_ms, found })
+    }
+
     fn forget(&mut self) {
         self.wall_ms.clear();
         self.device_ms.clear();

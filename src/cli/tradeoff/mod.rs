@@ -121,7 +121,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     for (extension, bytes) in extensions.iter().zip(texts.iter().chain([&plots.png, &plots.svg])) {
         outputs.write(&file(extension), bytes)?;
     }
-    line(report::markdown(&table).trim_end())?;
+    report::markdown(&table).trim_end().lines().try_for_each(line)?;
     if table.stopped {
         tell("Stopped: each configuration saw the same pictures, but not all of them.");
     }

@@ -44,12 +44,27 @@ fn peak_bytes() -> Option<u64> {
     Some(kilobytes * 1024)
 }
 
-/// What a process of its own takes for one picture with this setup.
-pub(super) fn of(setup: &Setup, picture: &Path) -> Option<u64> {
-    let program = std::env::current_exe().ok()?;
-    let setup = serde_json::to_string(setup).ok()?;
+/// What a process of its own takes for one picture with this setup; `None` where the system does not tell.
+///
+/// # Errors
+/// In words, if the process failed.
+pub(super) fn of(setup: &Setup, picture: &Path) -> Result<Option<u64>, String> {
+    let program = std::env::current_exe().map_err(|e| e.to_string())?;
+    let setup = serde_json::to_string(setup).map_err(|e| e.to_string())?;
     let mut command = Command::new(program);
-    command.arg("tradeoff-peak").arg(picture).arg(setup).stderr(Stdio::null());
-    let output = command.output().ok().filter(|output| output.status.success())?;
-    String::from_utf8(output.stdout).ok()?.trim().parse().ok()
+    command.arg("tradeoff-peak").arg(picture).arg(setup);
+    // A group of its own, which a Ctrl-C of the terminal does not reach: its setup is finished first.
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(&mut command, 0);
+    let output = command.stdin(Stdio::null()).output().map_err(|e| e.to_string())?;
+    if !output.status.success() {
+        let told = String::from_utf8_lossy(&output.stderr);
+        let last = told.lines().rfind(|line| line.starts_with("smr-gpu: "));
+        return Err(format!("its process: {}, {}", output.status, last.unwrap_or("nothing said")));
+    }
+    let told = String::from_utf8_lossy(&output.stdout);
+    match told.trim() {
+        "" => Ok(None),
+        bytes => bytes.parse().map(Some).map_err(|_| format!("its process said `{bytes}`")),
+    }
 }

@@ -45,7 +45,7 @@ pub(super) struct Plots {
 pub(super) fn draw(table: &Table) -> Result<Plots, Box<dyn Error>> {
     // The program brings its font: no system has to have one. A second time changes nothing.
     let _ = plotters::style::register_font(FAMILY, FontStyle::Normal, FONT);
-    let height = HEIGHT + LINE * (table.front().len() as u32 + 1);
+    let height = HEIGHT + LINE * (table.front().len() as u32 + 2);
     let mut svg = String::new();
     chart(&SVGBackend::with_string(&mut svg, (WIDTH, height)).into_drawing_area(), table)?;
     let mut pixels = vec![0; (3 * WIDTH * height) as usize];
@@ -88,9 +88,9 @@ where
     let mut chart = ChartBuilder::on(&upper)
         .caption(title, (FAMILY, 24))
         .margin(16)
+        .margin_right(32)
         .x_label_area_size(56)
         .y_label_area_size(96)
-        .right_y_label_area_size(8)
         .build_cartesian_2d((x0..x1).log_scale(), (y0..top * 1.3).log_scale())?;
     chart
         .configure_mesh()
@@ -98,8 +98,8 @@ where
         .y_desc("shift of centres from the base in f64, mm (95th percentile)")
         .axis_desc_style((FAMILY, 17))
         .label_style((FAMILY, 14))
-        .x_label_formatter(&|v| format!("{v}"))
-        .y_label_formatter(&|v| format!("{v}"))
+        .x_label_formatter(&tick)
+        .y_label_formatter(&tick)
         .light_line_style(RGBColor(238, 238, 238))
         .bold_line_style(RGBColor(215, 215, 215))
         .draw()?;
@@ -107,37 +107,24 @@ where
     let front = table.front();
     let steps = front.iter().map(|row| place(row, top));
     chart.draw_series(LineSeries::new(steps, RGBColor(150, 150, 150).stroke_width(2)))?;
-    let mut whats: Vec<String> = Vec::new();
+    let colours = Colours::of(table);
     for row in &table.rows {
-        if !whats.contains(&row.setup.what()) {
-            whats.push(row.setup.what());
-        }
+        symbol(root, row, chart.backend_coord(&place(row, top)), colours.style(row))?;
     }
-    let colour = |what: &str| {
-        let at = whats.iter().position(|w| w == what).unwrap_or(0);
-        COLOURS[at % COLOURS.len()]
-    };
-    for row in &table.rows {
-        let at = place(row, top);
-        let style = colour(&row.setup.what()).filled();
-        match row.setup.device.as_str() {
-            "cpu" => chart.draw_series([Circle::new(at, 6, style)])?.label(""),
-            _ => chart.draw_series([TriangleMarker::new(at, 8, style)])?.label(""),
-        };
-    }
-    // The front's numbers, where they meet nothing else.
+    // The front's numbers, where they meet nothing else: around the point, ever further off.
     let points: Vec<(i32, i32)> =
         table.rows.iter().map(|row| chart.backend_coord(&place(row, top))).collect();
     let mut taken: Vec<(i32, i32)> = points;
     for (number, row) in (1..).zip(&front) {
         let (x, y) = chart.backend_coord(&place(row, top));
-        let near =
-            [(16, -14), (-16, -14), (16, 14), (-16, 14), (0, -24), (0, 24), (28, 0), (-28, 0)];
-        let free = |(dx, dy): &&(i32, i32)| {
+        let around = [(1, -1), (-1, -1), (1, 1), (-1, 1), (0, -1), (0, 1), (1, 0), (-1, 0)];
+        let rings = [15, 22, 30, 40];
+        let mut near = rings.iter().flat_map(|r| around.map(|(dx, dy)| (r * dx, r * dy)));
+        let free = |(dx, dy): &(i32, i32)| {
             let (x, y) = (x + dx, y + dy);
-            taken.iter().all(|(u, v)| (x - u).abs() > 13 || (y - v).abs() > 13)
+            taken.iter().all(|(u, v)| (x - u).abs() > 14 || (y - v).abs() > 14)
         };
-        let (dx, dy) = near.iter().find(free).unwrap_or(&near[0]);
+        let (dx, dy) = near.find(free).unwrap_or((15, -15));
         let at = (x + dx, y + dy);
         let style = TextStyle::from((FAMILY, 17)).pos(Pos::new(HPos::Center, VPos::Center));
         root.draw(&Text::new(number.to_string(), at, style))?;
@@ -148,29 +135,95 @@ where
         let style = TextStyle::from((FAMILY, 13)).color(&RGBColor(90, 90, 90));
         root.draw(&Text::new("more than one box in twenty lost", (at.0 + 8, at.1 - 22), style))?;
     }
-    write_key(&key, &front, colour)
+    write_key(&key, &front, &colours)
+}
+
+/// A number of an axis: 1, 2 and 5 times a power of ten, as others would stand on each other.
+fn tick(value: &f64) -> String {
+    let exponent = (value.log10() + 1e-9).floor() as i32;
+    let digit = (value / 10f64.powi(exponent)).round() as i32;
+    match (digit, exponent) {
+        (1 | 2 | 5, -3..=5) => {
+            format!("{:.*}", (-exponent).max(0) as usize, f64::from(digit) * 10f64.powi(exponent))
+        }
+        (1 | 2 | 5, _) => format!("{digit}e{exponent}"),
+        _ => String::new(),
+    }
+}
+
+/// A circle for the CPU, a triangle for an adapter.
+fn symbol<DB: DrawingBackend>(
+    area: &DrawingArea<DB, Shift>,
+    row: &Measured,
+    at: (i32, i32),
+    style: ShapeStyle,
+) -> Result<(), Box<dyn Error>>
+where
+    DB::ErrorType: 'static,
+{
+    let corners = [(0, -8), (7, 5), (-7, 5), (0, -8)].map(|(dx, dy)| (at.0 + dx, at.1 + dy));
+    match (row.setup.device.as_str(), style.filled) {
+        ("cpu", _) => area.draw(&Circle::new(at, 6, style))?,
+        (_, true) => area.draw(&Polygon::new(corners, style))?,
+        (_, false) => area.draw(&PathElement::new(corners, style))?,
+    }
+    Ok(())
+}
+
+/// How a network's points look: what is computed shows in colour and filling, the device in the shape.
+struct Colours {
+    /// The networks, by their weights.
+    networks: Vec<String>,
+}
+
+impl Colours {
+    fn of(table: &Table) -> Self {
+        let mut networks: Vec<String> = Vec::new();
+        for row in &table.rows {
+            if !networks.contains(&row.setup.weights) {
+                networks.push(row.setup.weights.clone());
+            }
+        }
+        Self { networks }
+    }
+
+    fn colour(&self, weights: &str) -> RGBColor {
+        let at = self.networks.iter().position(|w| w == weights).unwrap_or(0);
+        COLOURS[at % COLOURS.len()]
+    }
+
+    /// Filled at the scale that the weights know, hollow at another.
+    fn style(&self, row: &Measured) -> ShapeStyle {
+        let colour = self.colour(&row.setup.weights);
+        if row.setup.size.is_none() { colour.filled() } else { colour.stroke_width(2) }
+    }
 }
 
 /// What each point of the front is, and how symbols are read.
 fn write_key<DB: DrawingBackend>(
     key: &DrawingArea<DB, Shift>,
     front: &[&Measured],
-    colour: impl Fn(&str) -> RGBColor,
+    colours: &Colours,
 ) -> Result<(), Box<dyn Error>>
 where
     DB::ErrorType: 'static,
 {
     let style = TextStyle::from((FAMILY, 16));
-    let text = "Circles: CPU; triangles: the adapter. A colour is a network and its input. On the line, \
-                nothing else is both faster and nearer:";
-    key.draw(&Text::new(text, (24, 2), style.clone()))?;
-    for (at, row) in (1..).zip(front) {
+    let mut x = 24;
+    for network in &colours.networks {
+        let colour = colours.colour(network);
+        key.draw(&Rectangle::new([(x, 5), (x + 12, 17)], colour.filled()))?;
+        key.draw(&Text::new(network.clone(), (x + 20, 2), style.clone()))?;
+        x += 60 + 9 * network.chars().count() as i32;
+    }
+    let text = "Circles: CPU; triangles: the adapter. Hollow: the network's input in another size than its own.";
+    key.draw(&Text::new(text, (x, 2), style.clone()))?;
+    let text = "On the line (the Pareto front) nothing else is both faster and nearer to the base:";
+    key.draw(&Text::new(text, (24, 2 + LINE as i32), style.clone()))?;
+    for (at, row) in (2..).zip(front) {
         let y = (at as u32 * LINE) as i32;
-        let symbol = colour(&row.setup.what()).filled();
-        match row.setup.device.as_str() {
-            "cpu" => key.draw(&Circle::new((36, y + 9), 6, symbol))?,
-            _ => key.draw(&TriangleMarker::new((36, y + 9), 8, symbol))?,
-        }
+        let at = at - 1;
+        symbol(key, row, (36, y + 9), colours.style(row))?;
         let lost = match row.shift.lost {
             0 => String::new(),
             lost => format!(", {lost} of {} boxes lost", row.shift.boxes),
@@ -220,6 +273,13 @@ mod tests {
     }
 
     #[test]
+    fn ticks_are_few_and_short() {
+        let shown = [1e-6, 2e-5, 3e-5, 0.001, 0.05, 1.0, 700.0, 2000.0, 1e5].map(|v| tick(&v));
+        assert_eq!(shown, ["1e-6", "2e-5", "", "0.001", "0.05", "1", "", "2000", "100000"]);
+        assert_eq!(tick(&0.000_009_999_999_999_999), "1e-5");
+    }
+
+    #[test]
     fn every_point_is_drawn_whatever_its_shift() {
         let base = row("cpu", 1.0, 0.0).setup;
         let table = |rows| Table {
@@ -230,9 +290,10 @@ mod tests {
             base: base.clone(),
             rows,
         };
-        // A circle of radius 6 has about 113 pixels; it is in the plot and, on the front, in the key.
+        // A circle of radius 6 has about 113 pixels; it is in the plot and, on the front, in the key, where
+        // its network's colour is a square of 13.
         let one = count(&table(vec![row("cpu", 10.0, 0.0)]), COLOURS[0]);
-        assert!((150..300).contains(&one), "{one}");
+        assert!((320..460).contains(&one), "{one}");
         let rows =
             vec![row("cpu", 10.0, 0.01), row("gpu", 200.0, 1e-5), row("cpu", 3.0, f64::INFINITY)];
         let three = count(&table(rows), COLOURS[0]);

@@ -1,6 +1,5 @@
 //! Which setups are measured, and their configurations.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -18,6 +17,10 @@ const FAMILIES: [&[&str]; 3] =
     [&["conv2d/direct", "conv2d/split"], &["conv2d/winograd"], &["conv2d/planar", "linear/planar"]];
 /// Pictures at a time, beside one.
 const BATCH: usize = 4;
+/// Combinations that are measured at most.
+const MOST_COMBINED: usize = 16;
+/// This machine's cores, as `--device` takes them.
+const CPU: &str = "cpu";
 
 /// What is measured.
 pub(super) struct Plan {
@@ -38,11 +41,16 @@ impl Plan {
         sizes: &[usize],
         gpu: Option<&(Arc<Gpu>, Device)>,
     ) -> Self {
-        let device = if gpu.is_some() { "gpu" } else { "cpu" };
+        // `detect --tradeoff` opens the adapter under the same name.
+        let device = match gpu {
+            Some((_, Device::Auto)) => "gpu".into(),
+            Some((_, device)) => device.to_string(),
+            None => CPU.into(),
+        };
         let base = Setup {
             weights: weights[0].0.clone(),
             size: None,
-            device: device.into(),
+            device,
             kernels: Vec::new(),
             batch: 1,
         };
@@ -51,39 +59,44 @@ impl Plan {
             weights[1..].iter().map(|(w, ..)| Setup { weights: w.clone(), ..base.clone() }),
         );
         single.extend(sizes.iter().map(|size| Setup { size: Some(*size), ..base.clone() }));
+        let networks = single.clone();
         single.push(Setup { batch: BATCH, ..base.clone() });
         if gpu.is_some() {
-            single.push(Setup { device: "cpu".into(), ..base.clone() });
             single.extend(FAMILIES.map(|family| {
                 let kernels = family.iter().map(|id| (*id).to_owned()).collect();
                 Setup { kernels, ..base.clone() }
             }));
+            // Who has no adapter wants to know what each network costs without.
+            single.extend(networks.into_iter().map(|s| Setup { device: CPU.into(), ..s }));
         }
         let place = gpu.map(|(gpu, _)| Place::of(gpu));
         let weights = weights.iter().map(|(w, _, digest)| (w.clone(), digest.clone())).collect();
         Self { base, place, weights, single }
     }
 
-    /// Combinations of what the front of `rows` has, without those that were measured.
-    pub fn combinations(&self, rows: Vec<Measured>) -> Vec<Setup> {
-        let measured: BTreeSet<String> = rows.iter().map(|row| row.setup.name()).collect();
-        let table = self.table(rows, 0, false);
+    /// Combinations of what the front of a table has, without what was measured: first with what is
+    /// fastest. Where the front has few, also the other networks at the other sizes.
+    pub fn combinations(&self, table: &Table) -> Vec<Setup> {
         let front: Vec<&Setup> = table.front().into_iter().map(|row| &row.setup).collect();
         let mut found: Vec<Setup> = Vec::new();
+        let mut add = |setup: Setup| {
+            let is_new = !self.single.contains(&setup) && !found.contains(&setup);
+            if is_new && found.len() < MOST_COMBINED {
+                found.push(setup);
+            }
+        };
         for a in &front {
             for b in &front {
                 for c in &front {
-                    let setup = Setup {
-                        weights: a.weights.clone(),
-                        size: b.size,
-                        device: c.device.clone(),
-                        kernels: if c.device == "gpu" { c.kernels.clone() } else { Vec::new() },
-                        batch: c.batch,
-                    };
-                    if !measured.contains(&setup.name()) && !found.contains(&setup) {
-                        found.push(setup);
-                    }
+                    let kernels = if c.device == CPU { Vec::new() } else { c.kernels.clone() };
+                    let (weights, device) = (a.weights.clone(), c.device.clone());
+                    add(Setup { weights, size: b.size, device, kernels, batch: c.batch });
                 }
+            }
+        }
+        for weights in self.single.iter().map(|s| &s.weights) {
+            for s in self.single.iter().filter(|s| s.kernels.is_empty() && s.batch == 1) {
+                add(Setup { weights: weights.clone(), ..s.clone() });
             }
         }
         found
@@ -148,4 +161,44 @@ pub(in crate::cli) fn configured(
     config.in_flight = config.in_flight.max(setup.batch.min(4));
     let gpu = open_gpu(&config.device)?;
     Ok((config, gpu.map(|gpu| Place::of(&gpu))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(setup: &Setup, ms: f64, mm: f64) -> Measured {
+        let spread = |v| smr_gpu::tradeoff::Spread { median: v, percentile_95: v, worst: v };
+        Measured {
+            setup: setup.clone(),
+            wall_ms: spread(ms),
+            device_ms: None,
+            peak_bytes: None,
+            stages: vec![],
+            shift: smr_gpu::tradeoff::Shift { mm: Some(spread(mm)), ..Default::default() },
+            quality: None,
+        }
+    }
+
+    /// Two networks and six sizes on the CPU alone are eight setups and a batch; an adapter adds eleven.
+    #[test]
+    fn enough_is_measured_and_nothing_twice() {
+        let weights = ["large", "small"].map(|w| (w.to_owned(), PathBuf::new(), String::new()));
+        let plan = Plan::new(&weights, &[160, 192, 224, 256, 288, 384], None);
+        assert_eq!(plan.single.len(), 9);
+        assert!(plan.single.iter().all(|s| s.device == "cpu" && s.kernels.is_empty()));
+        let time =
+            |s: &Setup| if s.weights == "small" { 1.0 } else { s.size.unwrap_or(320) as f64 };
+        let rows = |error: &dyn Fn(&Setup) -> f64| {
+            plan.single.iter().map(|s| row(s, time(s), error(s))).collect::<Vec<_>>()
+        };
+        // All on the front, or one alone.
+        for rows in [rows(&|s| 1e3 / time(s)), rows(&|s| time(s))] {
+            let found = plan.combinations(&plan.table(rows, 1, false));
+            let all: Vec<&Setup> = plan.single.iter().chain(&found).collect();
+            let twice = |(i, s): (usize, &&Setup)| all[..i].contains(s);
+            assert!(!all.iter().enumerate().any(twice), "{all:?}");
+            assert!(found.len() <= MOST_COMBINED && found.iter().any(|s| s.weights == "small"));
+        }
+    }
 }

@@ -4,11 +4,17 @@
 pub const MAX_LOG_SCALE: f32 = 4.135_166_6;
 
 /// The box that `deltas` (dx, dy, dw, dh) make of `anchor`, clipped to `[0, extent]`; torchvision's
-/// `BoxCoder.decode_single` and `clip_boxes_to_image`.
+/// `BoxCoder.decode_single` and `clip_boxes_to_image`. On an axis where anything is not finite both sides
+/// are NaN, also where torchvision's clamps make numbers of an infinity: who looks at boxes alone must
+/// see that they mean nothing.
 pub fn decode_box(anchor: [f32; 4], deltas: [f64; 4], extent: [f32; 2]) -> [f32; 4] {
     let mut decoded = [0.0; 4];
     for axis in 0..2 {
         let [low, high] = [anchor[axis], anchor[axis + 2]].map(f64::from);
+        if [low, high, deltas[axis], deltas[axis + 2]].iter().any(|x| !x.is_finite()) {
+            [decoded[axis], decoded[axis + 2]] = [f32::NAN; 2];
+            continue;
+        }
         let size = high - low;
         let centre = low + 0.5 * size + deltas[axis] * size;
         let half = 0.5 * deltas[axis + 2].min(f64::from(MAX_LOG_SCALE)).exp() * size;

@@ -1,0 +1,90 @@
+//! The same picture, device and configuration give the same bits: again and again, from several threads,
+//! in detectors built anew, whatever else is looked at beside.
+
+#[path = "support/mod.rs"]
+mod support;
+
+use std::path::Path;
+use std::thread;
+
+use image::DynamicImage;
+use smr_gpu::gpu::{Gpu, GpuOptions};
+use smr_gpu::{Config, Detections, Device, GpuDetector};
+
+const THREADS: usize = 8;
+/// Pictures that each thread looks at: 200 in all.
+const EACH: usize = 25;
+
+/// A small network with a small input that shows all it has, so that many bits are compared.
+fn config() -> Config {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let config = Config::new(root.join("weights/smrnet-s.safetensors"));
+    config.input_size(96).score(0.01).in_flight(4)
+}
+
+/// Pictures with different snaps.
+fn pictures() -> Vec<DynamicImage> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let open = |name| image::open(root.join("samples").join(name)).expect("a sample");
+    ["mixed.png", "hooks.png", "stud.png"].map(open).into()
+}
+
+/// All that is found, to the bit.
+fn bits(found: &Detections) -> Vec<u32> {
+    let each = found.detections.iter().flat_map(|d| {
+        let told = [d.yaw_deg, d.yaw_std_deg, d.whole].into_iter().flatten();
+        let placed =
+            d.bbox.into_iter().chain(d.center_mm).chain(d.center_std_mm.into_iter().flatten());
+        let numbers = [d.score].into_iter().chain(told).chain(placed).map(f32::to_bits);
+        std::iter::once(d.class_index as u32).chain(numbers).collect::<Vec<_>>()
+    });
+    each.chain([found.proposals]).collect()
+}
+
+fn look(detector: &GpuDetector, picture: &DynamicImage) -> Vec<u32> {
+    bits(&detector.detect(picture).expect("detections"))
+}
+
+/// Holds 200 looks of eight threads at three pictures, and those of `anew`, to the first of each picture.
+fn same_bits(detector: &GpuDetector, anew: &[GpuDetector]) {
+    let pictures = pictures();
+    let expected: Vec<Vec<u32>> = pictures.iter().map(|picture| look(detector, picture)).collect();
+    let found: usize = expected.iter().map(Vec::len).sum();
+    assert!(found > 100, "only {found} words to compare");
+    assert!(expected[0] != expected[1] && expected[1] != expected[2]);
+    let (pictures, expected) = (&pictures, &expected);
+    thread::scope(|scope| {
+        for thread in 0..THREADS {
+            scope.spawn(move || {
+                for run in 0..EACH {
+                    let at = (thread + run) % pictures.len();
+                    assert_eq!(look(detector, &pictures[at]), expected[at], "{thread}: run {run}");
+                }
+            });
+        }
+    });
+    for detector in anew {
+        for (picture, expected) in pictures.iter().zip(expected) {
+            assert_eq!(look(detector, picture), *expected, "a detector built anew");
+        }
+        // Given together.
+        let frames: Vec<_> = pictures.iter().map(smr_gpu::Frame::from).collect();
+        for (found, expected) in detector.detect_many(frames).zip(expected) {
+            assert_eq!(bits(&found.expect("detections")), *expected, "given together");
+        }
+    }
+}
+
+#[test]
+fn an_adapter_gives_the_same_bits() {
+    let on = |gpu| pollster::block_on(GpuDetector::on_device(gpu, config())).expect("a detector");
+    let other = pollster::block_on(Gpu::open(GpuOptions::default())).expect("an adapter");
+    let gpu = support::gpu();
+    same_bits(&on(gpu.clone()), &[on(gpu.clone()), on(other)]);
+}
+
+#[test]
+fn the_cpu_gives_the_same_bits() {
+    let new = || GpuDetector::new(config().device(Device::Cpu)).expect("a detector");
+    same_bits(&new(), &[new(), new()]);
+}

@@ -936,7 +936,7 @@ fn shadows_fall_away_from_the_light() {
     for turns in 0..4 {
         let azimuth = f64::from(turns) * std::f64::consts::FRAC_PI_2;
         let ray = Ray { azimuth, elevation: std::f64::consts::FRAC_PI_4 };
-        let shadow = cast(grid, &heights, ray, 0.1);
+        let shadow = cast(grid, &heights, ray, 0.1, 0.0);
         let (sin, cos) = azimuth.sin_cos();
         // Distances from the tower's middle against the light.
         for (distance, dark) in [(1.5, true), (1.75, true), (2.3, false), (-1.5, false)] {
@@ -948,15 +948,22 @@ fn shadows_fall_away_from_the_light() {
     }
     // Low light makes long shadows: 1 / tan 20° = 2.75 mm.
     let low = Ray { azimuth: 0.0, elevation: 20f64.to_radians() };
-    let shadow = cast(grid, &heights, low, 0.1);
+    let shadow = cast(grid, &heights, low, 0.1, 0.0);
     assert_eq!(at(&shadow, -3.5, 0.0), 1.0);
     assert_eq!(at(&shadow, -4.1, 0.0), 0.0);
     // Askew light reaches both sides that face it.
     let askew = Ray { azimuth: 0.6, elevation: std::f64::consts::FRAC_PI_4 };
-    let shadow = cast(grid, &heights, askew, 0.1);
+    let shadow = cast(grid, &heights, askew, 0.1, 0.0);
     assert_eq!(at(&shadow, 1.3, 0.0), 0.0);
     assert_eq!(at(&shadow, 0.0, 1.3), 0.0);
     assert!(at(&shadow, -1.4, -0.4) > 0.9);
+    // A lamp from 35° to 55°: all dark for 1 / tan 55° = 0.70 mm, all lit from 1 / tan 35° = 1.43 mm.
+    let large = Ray { azimuth: 0.0, elevation: std::f64::consts::FRAC_PI_4 };
+    let shadow = cast(grid, &heights, large, 0.01, 10f64.to_radians());
+    assert_eq!(at(&shadow, -1.55, 0.0), 1.0);
+    let [near, far] = [-1.95, -2.25].map(|x| at(&shadow, x, 0.0));
+    assert!(0.9 > near && near > far + 0.2 && far > 0.01, "{near} {far}");
+    assert_eq!(at(&shadow, -2.55, 0.0), 0.0);
 }
 
 #[test]

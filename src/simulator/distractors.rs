@@ -266,7 +266,10 @@ impl Distractor {
                     chamfer: rng.random_range(0.0..0.4),
                 }
             }
-            Part::Ball => Self::ball(rng),
+            Part::Ball => {
+                let radius = rng.random_range(1.2f64.ln()..12f64.ln()).exp();
+                Self::Pin { radius, fillet: radius }
+            }
             Part::Prism => {
                 let half = [rng.random_range(2.0..6.0), rng.random_range(1.0..4.0)];
                 let slope = rng.random_range(0.3..1.2);

@@ -20,6 +20,8 @@ const WITHOUT_SNAP: f64 = 0.4;
 const CUT: f64 = 0.15;
 /// Least free space between parts that do not touch, in millimetres.
 const CLEARANCE_MM: f64 = 0.4;
+/// Greatest depth of a ball, in millimetres.
+const DEEPEST_MM: f64 = 2.0;
 /// Attempts to place a part.
 const TRIES: u32 = 30;
 
@@ -310,10 +312,13 @@ impl Layout<'_> {
 
     fn add_other(&mut self, part: Part) {
         let Some(shape) = Distractor::sample_wide(self.rng, part) else { return };
-        let depth_mm = if self.rng.random_bool(0.25) {
-            self.rng.random_range(0.1..0.6)
-        } else {
-            self.rng.random_range(0.4..1.5)
+        let depth_mm = match shape {
+            // A ball is calibrated with: as deep as its half sphere, so that its whole outline shows.
+            Distractor::Pin { radius, fillet } if fillet == radius && self.rng.random_bool(0.6) => {
+                (radius * self.rng.random_range(0.4..1.0)).min(DEEPEST_MM)
+            }
+            _ if self.rng.random_bool(0.25) => self.rng.random_range(0.1..0.6),
+            _ => self.rng.random_range(0.4..1.5),
         };
         let [x0, y0, x1, y1] = self.visible;
         let Some(half) = shape.half_size() else {

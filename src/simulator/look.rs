@@ -38,8 +38,10 @@ pub enum Light {
 pub struct Shadows {
     /// Share of a light that is taken away.
     pub depth: f32,
-    /// Width of their edges in millimetres.
+    /// Least width of their edges in millimetres.
     pub soft_mm: f64,
+    /// Half the angle over which a light reaches up and down, in radians.
+    pub size: f64,
     /// The lights: of lamps each, of a measured sensor one for each channel.
     pub rays: Vec<Ray>,
 }
@@ -149,9 +151,12 @@ impl Look {
                 .to_vec(),
         };
         let soft_mm = rng.random_range(0.05..0.6);
+        // From a single LED to a strip or a diffuser.
+        let size = rng.random_range(0f64..12.0).to_radians();
         let shadows = (conditions.shadows > 0.0).then_some(Shadows {
             depth: conditions.shadows as f32,
             soft_mm,
+            size,
             rays,
         });
         let mut coating = Coating::sample(rng, &frame);
@@ -415,7 +420,9 @@ impl Look {
     fn cast_shadows(&self, surface: &Surface) -> Vec<Surface> {
         let Some(shadows) = &self.shadows else { return Vec::new() };
         let (grid, depths) = (surface.grid(), surface.depths());
-        let cast = |&ray: &Ray| Surface::new(grid, cast(grid, &depths, ray, shadows.soft_mm));
+        let cast = |&ray: &Ray| {
+            Surface::new(grid, cast(grid, &depths, ray, shadows.soft_mm, shadows.size))
+        };
         shadows.rays.iter().map(cast).collect()
     }
 

@@ -1,8 +1,9 @@
-"""Fits the score's temperature and the stated deviations to pictures with labels, and writes them into a copy of the weight file.
+"""Fits the scores and the stated deviations to pictures with labels, and writes them into a copy of the weight file.
 
-The temperature divides the class logits; it is the one under which the scores of the
-detections that there are at temperature 1 say best how often they are right (least log
-loss; right: right class, overlap of at least half, each snap once). The deviations of yaw and of the centre are multiplied so
+The temperature divides the class logits; with it goes an offset of each logit but the last
+class's, into the biases. They are those under which the scores of the detections that there
+are before say best how often they are right (least log loss; right: right class, overlap of
+at least half, each snap once). The deviations of yaw and of the centre are multiplied so
 that 68.3 % of the errors lie within one of them: a log variance is an output of
 roi_head.pose, so that goes into its bias. Figures before and after are printed, after on
 the same pictures: others must judge them.
@@ -74,6 +75,29 @@ def log_loss(scores: np.ndarray, hits: np.ndarray) -> float:
     return float(-np.where(hits, np.log(p), np.log(1 - p)).mean())
 
 
+def fit_scores(logits: torch.Tensor, labels: torch.Tensor, hits: np.ndarray) -> tuple[float, torch.Tensor]:
+    """The temperature and each logit's offset [classes + 1] of least log loss; the last class's offset is 0."""
+    found = torch.from_numpy(hits).double()
+    free = torch.zeros(logits.shape[1], dtype=torch.float64, requires_grad=True)  # offsets, then ln temperature
+
+    def shifted() -> tuple[torch.Tensor, torch.Tensor]:
+        return free[-1].exp(), torch.cat([free[:-1], free.new_zeros(1)])
+
+    optimizer = torch.optim.LBFGS([free], max_iter=200, line_search_fn="strong_wolfe")
+
+    def closure() -> torch.Tensor:
+        optimizer.zero_grad()
+        temperature, offsets = shifted()
+        score = ((logits.double() + offsets) / temperature).softmax(dim=1).gather(1, labels[:, None])[:, 0]
+        loss = torch.nn.functional.binary_cross_entropy(score.clamp(1e-6, 1 - 1e-6), found)
+        loss.backward()
+        return loss
+
+    optimizer.step(closure)
+    temperature, offsets = shifted()
+    return float(temperature), offsets.detach().float()
+
+
 def errors(looks: Looks, temperature: float) -> dict[str, np.ndarray]:
     """|error| over the stated deviation: of whole snaps' yaw, of the centre along x and y; detections above a half that are right."""
     ratios: dict[str, list] = {"yaw": [], "x": [], "y": []}
@@ -98,13 +122,16 @@ def main() -> None:
     args = parser.parse_args()
     model = weightfile.load(args.weights)
     looks = Looks(model, args.data, args.limit)
-    grid = np.exp(np.linspace(math.log(0.4), math.log(4), 47))
-    logits, labels, hits = looks.logits()
-    losses = [log_loss((logits / t).softmax(dim=1).gather(1, labels[:, None])[:, 0].numpy(), hits) for t in grid]
-    best = round(float(grid[int(np.argmin(losses))]), 3)
-    for name, t in (("before", 1.0), ("after", best)):
-        scores, hits = looks.scores(t)
-        print(f"{name}: temperature {t}, {len(scores)} detections, log loss {log_loss(scores, hits):.4f}, calibration error {calibration_error(scores, hits):.4f}")
+    scores, hits = looks.scores(1.0)
+    print(f"before: {len(scores)} detections, log loss {log_loss(scores, hits):.4f}, calibration error {calibration_error(scores, hits):.4f}")
+    temperature, offsets = fit_scores(*looks.logits())
+    best = round(temperature, 3)
+    for _, heads, _, _ in looks.rows:
+        heads.scores += offsets
+    with torch.no_grad():
+        model.roi_head.cls_score.bias += offsets
+    scores, hits = looks.scores(best)
+    print(f"after: temperature {best}, offsets {[round(o, 3) for o in offsets.tolist()]}, {len(scores)} detections, log loss {log_loss(scores, hits):.4f}, calibration error {calibration_error(scores, hits):.4f}")
     if model.config.pose:
         outputs = {"yaw": 2, "x": 3, "y": 4}
         for name, ratio in errors(looks, best).items():

@@ -8,6 +8,10 @@ import boxes as bx
 from model import Config, Heads, SmrNet, autocast
 
 
+# In the sum. The labels teach more than the teacher, whose map a narrow network can only follow in part.
+WEIGHTS = {"map": 0.1, "teacher_class": 0.5, "teacher_box": 0.5}
+
+
 class Distiller(nn.Module):
     """Its parameters are those of the projection, which only training needs; the teacher's stay as they are."""
 
@@ -34,8 +38,9 @@ class Distiller(nn.Module):
         best, label = probability[:, 1:].max(dim=1)
         seen = torch.where(best > 0.5)[0]
         of = [h.view(len(probability), -1, 4)[seen, label[seen] + 1] for h in (heads.regression, say.regression.float())]
-        return {
+        losses = {
             "map": F.mse_loss(guess.float(), wanted) / wanted.var(),
             "teacher_class": F.kl_div(heads.scores.log_softmax(dim=1), probability, reduction="batchmean"),
             "teacher_box": F.smooth_l1_loss(*of, beta=1 / 9, reduction="sum") / len(probability),
         }
+        return {name: WEIGHTS[name] * loss for name, loss in losses.items()}

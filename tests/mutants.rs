@@ -111,7 +111,7 @@ const FAULTS: &[Fault] = &[
     Fault {
         what: "the pixels of all rows summed one after the other",
         file: "global_avg_pool/quads",
-        changes: &[("row_sum += input", "sum += input")],
+        changes: &[("row_sum += loaded(input", "sum += loaded(input")],
         op: "global_avg_pool",
         case: "one third everywhere",
         by_hand: false,
@@ -538,11 +538,11 @@ const HALF_FAULTS: &[Fault] = &[
         by_hand: false,
     },
     Fault {
-        what: "the first two channels of a texel exchanged with the others",
+        what: "channels of a texel exchanged, two and two",
         file: "shared/texels",
         changes: &[("half.xz | (half.yw", "half.yw | (half.xz")],
-        op: "upsample_bilinear",
-        case: "prime sizes",
+        op: "conv2d",
+        case: "two channels to three by hand",
         by_hand: false,
     },
     Fault {
@@ -550,7 +550,7 @@ const HALF_FAULTS: &[Fault] = &[
         file: "shared/texels",
         changes: &[("unpack2x16float(texel.y)", "unpack2x16float(texel.x)")],
         op: "max_pool2d",
-        case: "two channels, not square, by hand",
+        case: "as after conv1, primes",
         by_hand: false,
     },
     Fault {
@@ -687,6 +687,11 @@ fn a_mutant_of_each_shader_is_noticed() {
 
 /// Faults that change no output, and why.
 const EQUIVALENT: &[(&str, &str, &str)] = &[
+    (
+        "shared/texels",
+        "let normal = ((size + 0xfffu + ((size << vec4<u32>(13u)) & vec4<u32>(1u))) >> vec4<u32>(13u))",
+        "of two f16 that are as near it takes the one nearer to zero, within every bound",
+    ),
     (
         "max_pool2d/planar",
         "return (bitcast<u32>(x) & 0x7fffffffu) > 2139095041u;",

@@ -380,3 +380,14 @@ fn what_overflows_f16_is_repeated_in_f32() {
     let error = look(&larger, Precision::F16).expect_err("an overflow");
     assert!(matches!(error, Error::NotFinite { .. }), "{error}");
 }
+
+/// Where the device overflows and the reference, whose sums are in f64, does not, the comparison says so.
+#[test]
+fn an_overflow_that_f64_hides_is_told() {
+    let config = Config::from_bytes("scaled", with_value("backbone.bn1.weight", 1e37));
+    let config = config.device(Device::Gpu(AdapterChoice::Auto)).input_size(64).keep_stages(true);
+    let gpu = GpuDetector::new(config).expect("a detector");
+    let error = gpu.compare(&Frame::from(&first_sample())).expect_err("an overflow");
+    let Error::Overflow { stage, precision, .. } = &error else { panic!("{error}") };
+    assert_eq!((stage.as_str(), precision.as_str()), ("backbone.conv1", "f32"));
+}

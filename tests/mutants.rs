@@ -693,6 +693,11 @@ const EQUIVALENT: &[(&str, &str, &str)] = &[
         "of two f16 that are as near it takes the one nearer to zero, within every bound",
     ),
     (
+        "shared/texels",
+        "let normal = ((size + 4094u + ((size >> vec4<u32>(13u)) & vec4<u32>(1u))) >> vec4<u32>(13u))",
+        "likewise",
+    ),
+    (
         "max_pool2d/planar",
         "return (bitcast<u32>(x) & 0x7fffffffu) > 2139095041u;",
         "one signalling NaN counts as a number, which no arithmetic makes",

@@ -13,6 +13,7 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::PathBuf;
 
+use smr_gpu::Precision;
 use smr_gpu::kernels::Caps;
 use smr_gpu::lower::Choice;
 use smr_gpu::model::{Network, Thresholds, Weights};
@@ -71,7 +72,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("{} at {size} × {size}, predicted\n", file.display());
     for class in &CLASSES {
         let caps = Caps { subgroup: class.subgroup, ..Caps::default() };
-        let costs = costs(&network.graph, &caps, &Choice::default())?;
+        let costs = costs(&network.graph, &caps, &Choice::default(), Precision::F32)?;
         let mut totals: BTreeMap<&str, Total> = BTreeMap::new();
         for cost in &costs {
             let total = totals.entry(&cost.kernel).or_default();

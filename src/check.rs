@@ -3,7 +3,7 @@
 //! Tests run these, and so may anyone who replaces a shader or brings a new driver: [`rows`] is what
 //! `smr-gpu check` prints and what the tests of operations assert.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use crate::error::{Error, Result};
@@ -12,7 +12,9 @@ use crate::graph::{Graph, TensorId};
 use crate::kernels::{self, Kernel, Layout, Work};
 use crate::lower::{Choice, Lowered, Request, lower};
 use crate::ops::case::WEIGHTS;
+use crate::ops::op::Tolerance;
 use crate::ops::{Case, Entry, Expected, OPS, Op, Report};
+use crate::precision::Precision;
 use crate::shape::{Extent, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -38,6 +40,8 @@ pub struct Selection {
     pub kernel: Option<String>,
     /// The case of this name alone.
     pub case: Option<String>,
+    /// This precision alone.
+    pub precision: Option<Precision>,
 }
 
 impl Selection {
@@ -74,14 +78,16 @@ impl Selection {
     }
 }
 
-/// A kernel held to the cases of its operation.
+/// A kernel, in one precision, held to the cases of its operation.
 #[derive(Clone, Debug)]
 pub struct Row {
     /// The operation.
     pub operation: &'static str,
     /// The kernel, or [`CPU`].
     pub kernel: &'static str,
-    /// Cases that it fits.
+    /// How it stores maps and weights.
+    pub precision: Precision,
+    /// Cases that it fits; in f16, of those whose numbers f16 can hold.
     pub cases: usize,
     /// Largest error as a share of its bound; at most 1 where nothing failed, 0 where only equal bits
     /// will do.
@@ -90,10 +96,13 @@ pub struct Row {
     pub nearest: String,
     /// What failed, in words.
     pub failures: Vec<String>,
+    /// Where numbers overflowed on the device and not in the reference, as [`Report::overflows`].
+    pub overflows: Vec<String>,
 }
 
 impl Row {
-    fn add(&mut self, case: &Case, share: f64, failures: Vec<String>) {
+    fn add(&mut self, case: &Case, report: Report) {
+        let Report { max_share: share, failures, overflows, .. } = report;
         let first = self.cases == 0 || (self.failures.is_empty() && !failures.is_empty());
         let as_bad = self.failures.is_empty() || !failures.is_empty();
         if first || (as_bad && share > self.share) {
@@ -102,10 +111,11 @@ impl Row {
         self.cases += 1;
         self.share = self.share.max(share);
         self.failures.extend(failures);
+        self.overflows.extend(overflows);
     }
 }
 
-/// Runs the selected cases of an operation: a row for each kernel that fits any.
+/// Runs the selected cases of an operation: a row for each kernel that fits any, in each precision.
 ///
 /// # Errors
 /// [`Error::Param`] for a case that the operation does not have, and what ends the device. What an
@@ -122,107 +132,213 @@ pub fn rows(target: &Target, entry: &Entry, selection: &Selection) -> Result<Vec
     }
     let mut rows: Vec<Row> = Vec::new();
     for case in &cases {
-        let expected = Expected::of(case)?;
-        for (kernel, report) in reports(target, &expected, selection)? {
-            let (share, failures) = match report {
-                Ok(report) => (report.max_share, report.failures),
+        for Outcome { kernel, precision, report } in outcomes(target, case, selection)? {
+            let report = match report {
+                Ok(report) => report,
                 Err(e @ (Error::DeviceLost(_) | Error::Timeout { .. } | Error::Driver { .. })) => {
                     return Err(e);
                 }
-                Err(e) => (f64::INFINITY, vec![format!("{kernel} / {}: {e}", case.name)]),
+                Err(e) => Report {
+                    max_share: f64::INFINITY,
+                    failures: vec![format!("{kernel} / {}: {e}", case.name)],
+                    ..Report::default()
+                },
             };
-            let at = rows.iter().position(|row| row.kernel == kernel).unwrap_or_else(|| {
-                let (operation, nearest) = (entry.name, String::new());
-                let failures = Vec::new();
-                rows.push(Row { operation, kernel, cases: 0, share: 0.0, nearest, failures });
+            let same = |row: &Row| row.kernel == kernel && row.precision == precision;
+            let at = rows.iter().position(same).unwrap_or_else(|| {
+                rows.push(Row {
+                    operation: entry.name,
+                    kernel,
+                    precision,
+                    cases: 0,
+                    share: 0.0,
+                    nearest: String::new(),
+                    failures: Vec::new(),
+                    overflows: Vec::new(),
+                });
                 rows.len() - 1
             });
-            rows[at].add(case, share, failures);
+            rows[at].add(case, report);
         }
     }
     Ok(rows)
 }
 
-/// What each selected kernel makes of a case.
-fn reports(
-    target: &Target,
-    expected: &Expected,
-    selection: &Selection,
-) -> Result<Vec<(&'static str, Result<Report>)>> {
-    let wanted = |id: &str| selection.kernel.as_deref().is_none_or(|kernel| kernel == id);
-    let case = expected.case();
-    match target {
-        Target::Gpu(gpu) => {
-            let mut kernels = fitting(gpu, case)?;
-            kernels.retain(|kernel| wanted(kernel.id()));
-            let run = |kernel| check_kernel(gpu, expected, &case.inputs, kernel);
-            Ok(kernels.into_iter().map(|kernel| (kernel.id(), run(kernel))).collect())
-        }
-        #[cfg(feature = "cpu")]
-        Target::Cpu if !wanted(CPU) => Ok(Vec::new()),
-        #[cfg(feature = "cpu")]
-        Target::Cpu => Ok(vec![(CPU, crate::host::check_expected(expected))]),
-    }
+/// What a kernel makes of a case.
+struct Outcome {
+    kernel: &'static str,
+    precision: Precision,
+    report: Result<Report>,
 }
 
-/// Runs `case` by each kernel that fits, on `gpu` with poisoned, guarded buffers, and holds it to the
-/// reference within the kernel's bound; where there are outputs by hand, to those too.
+/// What each selected kernel makes of a case, in each selected precision.
+fn outcomes(target: &Target, case: &Case, selection: &Selection) -> Result<Vec<Outcome>> {
+    let wanted = |id: &str| selection.kernel.as_deref().is_none_or(|kernel| kernel == id);
+    let stored = |precision| selection.precision.is_none_or(|wanted| wanted == precision);
+    let mut found = Vec::new();
+    match target {
+        Target::Gpu(gpu) => {
+            if stored(Precision::F32) {
+                found.extend(singles(gpu, &Expected::of(case)?, &case.inputs, wanted)?);
+            }
+            if stored(Precision::F16) {
+                found.extend(halves(gpu, case, wanted)?);
+            }
+        }
+        #[cfg(feature = "cpu")]
+        Target::Cpu if !wanted(CPU) || !stored(Precision::F32) => {}
+        #[cfg(feature = "cpu")]
+        Target::Cpu => {
+            let report = crate::host::check_expected(&Expected::of(case)?);
+            found.push(Outcome { kernel: CPU, precision: Precision::F32, report });
+        }
+    }
+    Ok(found)
+}
+
+/// Runs `case` by each kernel that fits and in each [`Precision`], on `gpu` with poisoned, guarded
+/// buffers, and holds it to the reference within the kernel's bound; where there are outputs by hand, to
+/// those too.
 ///
 /// # Errors
 /// What the operation or the device returns. Wrong values are no error, but failures in the
 /// report.
 pub fn check(gpu: &Arc<Gpu>, case: &Case) -> Result<Report> {
-    check_expected(gpu, &Expected::of(case)?, &case.inputs)
-}
-
-/// [`check`] of a case whose reference has run, on other `inputs` than its own.
-///
-/// # Errors
-/// As [`check`].
-pub fn check_expected(gpu: &Arc<Gpu>, expected: &Expected, inputs: &[Value]) -> Result<Report> {
-    let mut report = Report { max_error: 0.0, max_share: 0.0, failures: Vec::new() };
-    for kernel in fitting(gpu, expected.case())? {
-        let one = check_kernel(gpu, expected, inputs, kernel)?;
-        report.max_error = report.max_error.max(one.max_error);
-        report.max_share = report.max_share.max(one.max_share);
-        report.failures.extend(one.failures);
+    let mut report = check_expected(gpu, &Expected::of(case)?, &case.inputs)?;
+    for outcome in halves(gpu, case, |_| true)? {
+        report.add(outcome.report?);
     }
     Ok(report)
 }
 
-/// The kernels that can run a case on a device.
+/// [`check`] in f32 of a case whose reference has run, on other `inputs` than its own.
 ///
 /// # Errors
-/// What the operation refuses.
-pub fn fitting(gpu: &Gpu, case: &Case) -> Result<Vec<&'static dyn Kernel>> {
+/// As [`check`].
+pub fn check_expected(gpu: &Arc<Gpu>, expected: &Expected, inputs: &[Value]) -> Result<Report> {
+    let mut report = Report::default();
+    for outcome in singles(gpu, expected, inputs, |_| true)? {
+        report.add(outcome.report?);
+    }
+    Ok(report)
+}
+
+/// What each wanted kernel makes of a case in f32.
+fn singles(
+    gpu: &Arc<Gpu>,
+    expected: &Expected,
+    inputs: &[Value],
+    wanted: impl Fn(&str) -> bool,
+) -> Result<Vec<Outcome>> {
+    let precision = Precision::F32;
+    let kernels = fitting(gpu, expected.case(), precision)?.into_iter();
+    let run = |(kernel, _): (&'static dyn Kernel, _)| {
+        let report = check_kernel(gpu, expected, inputs, (kernel, precision)).transpose()?;
+        Some(Outcome { kernel: kernel.id(), precision, report })
+    };
+    Ok(kernels.filter(|(kernel, _)| wanted(kernel.id())).filter_map(run).collect())
+}
+
+/// What each wanted kernel makes of a case in f16; nothing where nothing is stored so, or an input
+/// overflows.
+fn halves(gpu: &Arc<Gpu>, case: &Case, wanted: impl Fn(&str) -> bool) -> Result<Vec<Outcome>> {
+    let precision = Precision::F16;
+    // By which inputs are stored in f16, the kernels that read those so: they share a reference.
+    let mut kernels: BTreeMap<Vec<bool>, Vec<&'static dyn Kernel>> = BTreeMap::new();
+    for (kernel, stored) in fitting(gpu, case, precision)? {
+        if wanted(kernel.id()) {
+            kernels.entry(stored).or_default().push(kernel);
+        }
+    }
+    let mut found = Vec::new();
+    for (stored, kernels) in kernels {
+        let Some(case) = rounded(case, &stored) else { continue };
+        let expected = Expected::of(&case)?;
+        for kernel in kernels {
+            let report = check_kernel(gpu, &expected, &case.inputs, (kernel, precision));
+            if let Some(report) = report.transpose() {
+                found.push(Outcome { kernel: kernel.id(), precision, report });
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// The kernels that can run a case on a device in a precision, each with the inputs that it does not read
+/// planar, which are stored in that precision.
+fn fitting(
+    gpu: &Gpu,
+    case: &Case,
+    precision: Precision,
+) -> Result<Vec<(&'static dyn Kernel, Vec<bool>)>> {
     let specs: Vec<TensorSpec> = case.inputs.iter().map(Value::spec).collect();
     let outputs = case.op.infer(&specs)?;
     let known: Vec<bool> = case.op.inputs().iter().map(|n| WEIGHTS.contains(n)).collect();
     let op = case.op.as_ref();
     let (inputs, outputs, caps) = (&specs[..], &outputs[..], gpu.caps());
-    let work = Work { node: 0, op, inputs, known: &known, outputs, batch: 1, caps };
-    Ok(kernels::of(op)?.iter().copied().filter(|k| k.fits(&work)).collect())
+    let work = Work { node: 0, op, inputs, known: &known, outputs, batch: 1, precision, caps };
+    let fitting = kernels::of(op)?.iter().copied().filter(|k| k.fits(&work));
+    let stored = |kernel: &dyn Kernel| {
+        let layouts = (0..specs.len()).map(|i| kernel.reads(&work, i));
+        layouts.map(|layout| layout != Layout::Planar).collect()
+    };
+    Ok(fitting.map(|kernel| (kernel, stored(kernel))).collect())
 }
 
-/// [`check_expected`] of one kernel.
-///
-/// # Errors
-/// As [`check`].
-pub fn check_kernel(
+/// The case with those inputs that are `stored` in f16 rounded before, so that storing them changes
+/// nothing; `None` if f16 overflows.
+fn rounded(case: &Case, stored: &[bool]) -> Option<Case> {
+    let mut inputs = Vec::with_capacity(case.inputs.len());
+    for (input, stored) in case.inputs.iter().zip(stored) {
+        inputs.push(match input {
+            Value::F32(tensor) if *stored => {
+                let half = Precision::F16.rounded(tensor);
+                let mut pairs = tensor.data().iter().zip(half.data());
+                if pairs.any(|(x, half)| x.is_finite() && !half.is_finite()) {
+                    return None;
+                }
+                half.into()
+            }
+            other => other.clone(),
+        });
+    }
+    let same = inputs == case.inputs;
+    Some(Case {
+        name: format!("{} in f16", case.name),
+        op: case.op.clone(),
+        inputs,
+        by_hand: case.by_hand.clone().filter(|_| same),
+        exact: case.exact,
+        network: case.network,
+    })
+}
+
+/// [`check`] of one kernel in one precision; `None` if that stores nothing in f16.
+fn check_kernel(
     gpu: &Arc<Gpu>,
     expected: &Expected,
     inputs: &[Value],
-    kernel: &dyn Kernel,
-) -> Result<Report> {
+    (kernel, precision): (&dyn Kernel, Precision),
+) -> Result<Option<Report>> {
     let case = expected.case();
     let op = case.op.as_ref();
-    let mut single = Single::new(gpu, &case.op, inputs, kernel.id(), 1, true)?;
+    let mut single = Single::new(gpu, &case.op, inputs, (kernel.id(), precision), 1, true)?;
+    if precision.is_half() && !single.has_halves {
+        return Ok(None);
+    }
     // What one kind of poison hides the other shows.
     let nan = single.run_poisoned(Poison::Nan)?;
     let finite = single.run_poisoned(Poison::Finite)?;
     let case_inputs: Vec<&Value> = case.inputs.iter().collect();
-    let bounds = kernel.tolerance(op, &case_inputs, &expected.reference)?;
-    let mut report = expected.judge(&nan, bounds);
+    let values = (&case_inputs[..], &expected.reference[..]);
+    let bounds = match case.exact {
+        true => {
+            let outputs = expected.reference.iter().zip(&single.written);
+            outputs.map(|(value, written)| Tolerance::Exact.stored(value, *written)).collect()
+        }
+        false => kernels::bounds(Some(kernel), op, values, precision, &single.written)?,
+    };
+    let mut report = expected.judge(&nan, Some(bounds));
     for (i, name) in op.outputs().into_iter().enumerate() {
         let what = format!("{} / {} / {name}", kernel.id(), case.name);
         let n = expected.defined[i];
@@ -235,9 +351,9 @@ pub fn check_kernel(
         }
     }
     if kernel.batched() {
-        check_batch(gpu, expected, inputs, kernel, &nan, &mut report)?;
+        check_batch(gpu, expected, inputs, (kernel, precision), &nan, &mut report)?;
     }
-    Ok(report)
+    Ok(Some(report))
 }
 
 /// A picture gives the same bits whatever else is in the batch.
@@ -245,12 +361,12 @@ fn check_batch(
     gpu: &Arc<Gpu>,
     expected: &Expected,
     inputs: &[Value],
-    kernel: &dyn Kernel,
+    (kernel, precision): (&dyn Kernel, Precision),
     alone: &[Value],
     report: &mut Report,
 ) -> Result<()> {
     let case = expected.case();
-    let mut single = Single::new(gpu, &case.op, inputs, kernel.id(), 2, true)?;
+    let mut single = Single::new(gpu, &case.op, inputs, (kernel.id(), precision), 2, true)?;
     let turned: Vec<Value> = inputs.iter().map(turned).collect();
     for order in [[inputs, &turned[..]], [&turned[..], inputs]] {
         let values = single.run_batch(&order)?;
@@ -282,7 +398,7 @@ fn turned(value: &Value) -> Value {
 /// # Errors
 /// What the operation or the device returns.
 pub fn run_op(gpu: &Arc<Gpu>, op: &Arc<dyn Op>, inputs: &[Value]) -> Result<Vec<Value>> {
-    Single::new(gpu, op, inputs, "", 1, false)?.run()
+    Single::new(gpu, op, inputs, ("", Precision::F32), 1, false)?.run()
 }
 
 /// An operation alone on a device.
@@ -294,6 +410,10 @@ struct Single {
     indices: Vec<usize>,
     outputs: Vec<TensorId>,
     names: Vec<&'static str>,
+    /// How the outputs are stored.
+    written: Vec<Precision>,
+    /// Whether anything is stored in f16.
+    has_halves: bool,
     /// The recording's tensors of the outputs, for those that are planar.
     poisoned: Vec<Option<TensorId>>,
 }
@@ -303,7 +423,7 @@ impl Single {
         gpu: &Arc<Gpu>,
         op: &Arc<dyn Op>,
         inputs: &[Value],
-        kernel: &str,
+        (kernel, precision): (&str, Precision),
         batch: u32,
         guard: bool,
     ) -> Result<Self> {
@@ -324,15 +444,18 @@ impl Single {
         let outputs = graph.apply_shared(op.name(), op.clone(), &ids)?;
         outputs.iter().for_each(|id| graph.mark_output(*id));
         let choice = if kernel.is_empty() { Choice::default() } else { Choice::force(kernel)? };
-        let request = Request { keep: &[], batch, caps: gpu.caps(), choice: &choice };
+        let request = Request { keep: &[], batch, precision, caps: gpu.caps(), choice: &choice };
         let lowered = lower(&graph, &request)?;
+        let has_halves = lowered.recording.tensors().iter().any(|t| t.precision.is_half());
+        let written = outputs.iter().map(|id| lowered.stored(*id)).collect();
         let poisoned = outputs.iter().map(|id| planar(&lowered, *id)).collect();
         let options = ProgramOptions { reuse: true, guard, profile: Profile::Off };
         let slot = pollster::block_on(async {
             let program = Program::new(gpu, &lowered, None, options).await?;
             Slot::new(&Arc::new(program)).await
         })?;
-        Ok(Self { slot, given, indices, outputs, names: op.outputs(), poisoned })
+        let names = op.outputs();
+        Ok(Self { slot, given, indices, outputs, names, written, has_halves, poisoned })
     }
 
     fn run_poisoned(&mut self, poison: Poison) -> Result<Vec<Value>> {

@@ -117,6 +117,18 @@ pub enum Error {
         /// How many values.
         count: u64,
     },
+    /// A device produced such values where the reference, whose sums are in f64, did not.
+    #[error(
+        "{stage}: {count} values are not finite in {precision}; the reference hides it, in f64"
+    )]
+    Overflow {
+        /// The tensor's name.
+        stage: String,
+        /// How many values.
+        count: u64,
+        /// How the device stores maps and weights.
+        precision: String,
+    },
 }
 
 /// Result with the library's [`enum@Error`].

@@ -38,6 +38,7 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`error`], [`shape`], [`tensor`] | typed errors, shapes, tensors in host memory |
+//! | [`precision`] | how numbers are stored on a GPU: f32 or f16 |
 //! | [`files`] | reading files that are files, of a size looked at first; writing them whole or not at all |
 //! | [`cpu`] | the reference of each operation: from its definition, with f64 sums |
 //! | [`gpu`] | the device, shaders and their reflection, recordings, plans; alone to name wgpu |
@@ -92,6 +93,7 @@ pub mod model;
 pub mod ops;
 #[cfg(feature = "picture")]
 pub mod picture;
+pub mod precision;
 pub mod profile;
 pub mod sensor;
 pub mod shader;
@@ -109,6 +111,7 @@ pub use frame::{Frame, PixelFormat, Rect};
 /// The crate whose pictures [`GpuDetector::detect`] takes.
 #[cfg(feature = "image")]
 pub use image;
+pub use precision::Precision;
 pub use sensor::Sensor;
 
 /// The README's example runs as a test.

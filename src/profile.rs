@@ -10,6 +10,7 @@ use crate::gpu::{Gpu, Profile, Program, ProgramOptions, Slot};
 use crate::graph::{Graph, TensorId};
 use crate::kernels::{Caps, Command, Grid, Recording, Role, TensorInfo, roof};
 use crate::lower::{Choice, Lowered, Request, lower};
+use crate::precision::Precision;
 use crate::shader::reflect;
 use crate::shape::{Extent, TensorSpec};
 use crate::tensor::Value;
@@ -63,8 +64,13 @@ pub struct Cost {
 ///
 /// # Errors
 /// As [`lower`].
-pub fn costs(graph: &Graph, caps: &Caps, choice: &Choice) -> Result<Vec<Cost>> {
-    let lowered = lower(graph, &Request { keep: &[], batch: 1, caps, choice })?;
+pub fn costs(
+    graph: &Graph,
+    caps: &Caps,
+    choice: &Choice,
+    precision: Precision,
+) -> Result<Vec<Cost>> {
+    let lowered = lower(graph, &Request { keep: &[], batch: 1, precision, caps, choice })?;
     let recording = &lowered.recording;
     let mut found: Vec<Cost> = Vec::new();
     for (command, node) in recording.commands().iter().zip(&lowered.owners) {
@@ -119,10 +125,10 @@ pub fn commands(
     gpu: &Arc<Gpu>,
     graph: &Graph,
     inputs: &[(TensorId, &Value)],
-    choice: &Choice,
+    (choice, precision): (&Choice, Precision),
     runs: usize,
 ) -> Result<Vec<CommandTime>> {
-    let request = Request { keep: &[], batch: 1, caps: gpu.caps(), choice };
+    let request = Request { keep: &[], batch: 1, precision, caps: gpu.caps(), choice };
     let lowered = lower(graph, &request)?;
     let names: Vec<(usize, String)> = lowered
         .owners
@@ -181,8 +187,13 @@ pub fn roof(gpu: &Arc<Gpu>, runs: usize) -> Result<Roof> {
     let mut recording = Recording::new(1, gpu.caps().clone());
     recording.begin_stage("roof");
     roof::record(&mut recording);
-    let lowered =
-        Lowered { recording, places: Default::default(), kernels: Vec::new(), owners: Vec::new() };
+    let lowered = Lowered {
+        recording,
+        places: Default::default(),
+        precision: Precision::F32,
+        kernels: Vec::new(),
+        owners: Vec::new(),
+    };
     let mut slot = slot(gpu, &lowered)?;
     let mut best = [f64::INFINITY; 2];
     for _ in 0..runs.max(1) {

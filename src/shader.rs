@@ -3,6 +3,7 @@
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 
 use crate::error::{Error, Result};
+use crate::precision::Precision;
 
 /// Field names and offsets of a Rust struct that mirrors a shader's `Params`.
 #[derive(Clone, Copy, Debug)]
@@ -61,6 +62,7 @@ impl std::fmt::Display for Variant {
 const SHARED: &[(&str, &str)] = &[
     ("index", include_str!("../wgsl/shared/index.wgsl")),
     ("quads", include_str!("../wgsl/shared/quads.wgsl")),
+    ("texels", include_str!("../wgsl/shared/texels.wgsl")),
     ("products", include_str!("../wgsl/shared/products.wgsl")),
     ("boxes", include_str!("../wgsl/shared/boxes.wgsl")),
     ("relu", include_str!("../wgsl/shared/relu.wgsl")),
@@ -124,8 +126,8 @@ pub enum BindingKind {
     Read,
     /// Storage that is written.
     ReadWrite,
-    /// A storage texture of rgba32float that is only read.
-    Texture,
+    /// A storage texture of rgba32float or rgba16float that is only read.
+    Texture(Precision),
 }
 
 /// naga's view of a shader.
@@ -299,7 +301,11 @@ pub(crate) fn reflect_with(
                 {
                     BindingKind::ReadWrite
                 }
-                naga::AddressSpace::Handle => BindingKind::Texture,
+                naga::AddressSpace::Handle => {
+                    let format = texture_format(&module.types[variable.ty].inner);
+                    let unknown = || shader.error(0, format!("`{name}` has another format"));
+                    BindingKind::Texture(format.ok_or_else(unknown)?)
+                }
                 _ => BindingKind::Read,
             };
             bindings.push((name, binding.binding, kind));
@@ -323,6 +329,21 @@ fn reads_grid(module: &naga::Module, entry: &naga::EntryPoint) -> bool {
         naga::TypeInner::Struct { members, .. } => members.iter().any(|m| is_grid(&m.binding)),
         _ => is_grid(&argument.binding),
     })
+}
+
+/// How the texels of a storage texture are stored; `None` for what the crate has none of.
+fn texture_format(ty: &naga::TypeInner) -> Option<Precision> {
+    match ty {
+        naga::TypeInner::Image {
+            class: naga::ImageClass::Storage { format, access: naga::StorageAccess::LOAD },
+            ..
+        } => match format {
+            naga::StorageFormat::Rgba32Float => Some(Precision::F32),
+            naga::StorageFormat::Rgba16Float => Some(Precision::F16),
+            _ => None,
+        },
+        _ => None,
+    }
 }
 
 fn check_params(shader: &Shader, span: u32, fields: &[(String, u32)]) -> Result<()> {

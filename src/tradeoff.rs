@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::files;
+use crate::precision::Precision;
 use crate::tune::Place;
 
 /// Longest file with a table.
@@ -29,6 +30,9 @@ pub struct Setup {
     pub kernels: Vec<String>,
     /// Pictures that are given at a time.
     pub batch: usize,
+    /// How a GPU stores maps and weights.
+    #[serde(default)]
+    pub precision: Precision,
 }
 
 impl Setup {
@@ -45,6 +49,9 @@ impl Setup {
         let mut words = vec![self.device.clone()];
         if !self.kernels.is_empty() {
             words.push(self.kernels.join(" + "));
+        }
+        if self.precision != Precision::F32 {
+            words.push(self.precision.to_string());
         }
         if self.batch > 1 {
             words.push(format!("{} at a time", self.batch));
@@ -293,7 +300,14 @@ mod tests {
     use super::*;
 
     fn setup(weights: &str, batch: usize) -> Setup {
-        Setup { weights: weights.into(), size: None, device: "cpu".into(), kernels: vec![], batch }
+        Setup {
+            weights: weights.into(),
+            size: None,
+            device: "cpu".into(),
+            kernels: vec![],
+            batch,
+            precision: Precision::F32,
+        }
     }
 
     fn row(weights: &str, ms: f64, shift: f64, iou: f64) -> Measured {
@@ -415,8 +429,9 @@ mod tests {
             device: "gpu".into(),
             kernels: vec!["conv2d/direct".into()],
             batch: 4,
+            precision: Precision::F16,
         };
-        assert_eq!(all.name(), "small at 192 px, gpu, conv2d/direct, 4 at a time");
+        assert_eq!(all.name(), "small at 192 px, gpu, conv2d/direct, f16, 4 at a time");
         assert_eq!(setup("large", 1).name(), "large, cpu");
     }
 }

@@ -16,6 +16,7 @@ use crate::gpu::{Gpu, Profile, Program, ProgramOptions, Slot};
 use crate::graph::{Graph, TensorId};
 use crate::kernels;
 use crate::lower::{Choice, Request, lower, works};
+use crate::precision::Precision;
 use crate::tensor::Value;
 
 /// Longest file with a choice: that of the network has some 10 kB.
@@ -102,7 +103,7 @@ pub fn tune(
     let start = Instant::now();
     // By operation and shapes: the kernels that fit, the preferred first.
     let mut candidates: BTreeMap<String, Vec<&'static str>> = BTreeMap::new();
-    works(graph, 1, gpu.caps(), |work| {
+    works(graph, (1, Precision::F32, gpu.caps()), |work| {
         let fitting = kernels::of(work.op)?.iter().filter(|k| k.fits(work)).map(|k| k.id());
         candidates.insert(Choice::key(work), fitting.collect());
         Ok(())
@@ -139,7 +140,8 @@ fn times(
     inputs: &[(TensorId, &Value)],
     choice: &Choice,
 ) -> Result<BTreeMap<String, (Duration, &'static str)>> {
-    let request = Request { keep: &[], batch: 1, caps: gpu.caps(), choice };
+    let precision = Precision::F32;
+    let request = Request { keep: &[], batch: 1, precision, caps: gpu.caps(), choice };
     let lowered = lower(graph, &request)?;
     let options = ProgramOptions { profile: Profile::Commands, ..ProgramOptions::default() };
     let mut slot = pollster::block_on(async {
@@ -160,7 +162,7 @@ fn times(
         *by_node.entry(*owner).or_default() += time;
     }
     let mut sums: BTreeMap<String, (Duration, u32, &'static str)> = BTreeMap::new();
-    works(graph, 1, gpu.caps(), |work| {
+    works(graph, (1, Precision::F32, gpu.caps()), |work| {
         let kernel = choice.kernel(work)?.id();
         let time = by_node.get(&work.node).copied().unwrap_or_default();
         let sum = sums.entry(Choice::key(work)).or_insert((Duration::ZERO, 0, kernel));

@@ -178,6 +178,48 @@ fn a_device_that_takes_too_long_is_told_from_a_bad_picture() {
 }
 
 #[test]
+fn f16_is_what_a_gpu_stores() {
+    let folder = folder();
+    ramp(40, 40).save(folder.path().join("x.png")).expect("saved");
+    let detect = |device, precision| {
+        let args = ["detect", "x.png", "--json", "--device", device, "--precision", precision];
+        run(folder.path(), &args)
+    };
+    assert_eq!(detect("gpu", "f16").expect(0).json()[0]["precision"], "f16");
+    assert_eq!(detect("gpu", "f32").expect(0).json()[0]["precision"], "f32");
+    let ran = detect("cpu", "f16").expect(0);
+    assert_eq!(ran.json()[0]["precision"], "f32");
+    ran.tells("f16 is for GPUs");
+    detect("gpu", "f8").expect(2).tells("expected `f32` or `f16`");
+}
+
+/// Each kernel in each precision, and what overflows in f32 alone.
+#[test]
+fn kernels_are_checked_in_each_precision() {
+    let folder = folder();
+    let check = |operation, arguments: &[&str]| {
+        let all = [&["check", operation, "--device", "gpu", "--json"], arguments].concat();
+        run(folder.path(), &all)
+    };
+    let rows = check("weighted_sum", &[]).expect(0).json();
+    let of = |kernel: &str| -> Vec<&str> {
+        let rows = rows.iter().filter(|row| row["kernel"] == kernel);
+        rows.map(|row| row["precision"].as_str().expect("a precision")).collect()
+    };
+    assert_eq!(of("weighted_sum/quads"), ["f32", "f16"]);
+    assert_eq!(of("weighted_sum/planar"), ["f32"]);
+    let half = check("weighted_sum", &["--precision", "f16"]).expect(0).json();
+    assert_eq!((half.len(), &half[0]["precision"]), (1, &"f16".into()));
+    check("softmax", &["--precision", "f16"]).expect(2).tells("got none");
+
+    let case = "an overflow on the way, which f64 hides";
+    let ran = check("linear", &["--precision", "f32", "--case", case]).expect(0);
+    let rows = ran.json();
+    assert!(rows.iter().all(|row| row["overflows"].as_array().is_some_and(|o| o.len() == 1)));
+    ran.tells("6 of 6 overflow, which f64 hides");
+}
+
+#[test]
 fn without_an_adapter_the_cpu_detects() {
     let folder = folder();
     ramp(40, 40).save(folder.path().join("x.png")).expect("saved");
@@ -261,7 +303,8 @@ fn bad_pictures_are_named_and_good_ones_go_through() {
     for (record, file) in records.iter().zip(&good) {
         let fields: Vec<&String> = record.as_object().expect("an object").keys().collect();
         let size = ["height", "mm_per_pixel", "width"];
-        let mut all = ["adapter", "detections", "file", "kernels", "timings_ms"].to_vec();
+        let mut all =
+            ["adapter", "detections", "file", "kernels", "precision", "timings_ms"].to_vec();
         all.extend(size);
         all.sort_unstable();
         assert_eq!(fields, all);

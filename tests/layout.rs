@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
+use smr_gpu::Precision;
 use smr_gpu::kernels::{self, Caps};
 use smr_gpu::ops::OPS;
 use smr_gpu::shader::{BindingKind, reflect};
@@ -102,7 +103,14 @@ fn shaders_validate_and_keep_to_the_default_limits() {
                 ("bytes of workgroup memory", entry.workgroup_bytes, WORKGROUP_BYTES),
                 ("invocations", invocations, INVOCATIONS),
                 ("storage buffers", storage, STORAGE_BUFFERS),
-                ("storage textures", count(&[BindingKind::Texture]), STORAGE_TEXTURES),
+                (
+                    "storage textures",
+                    count(&[
+                        BindingKind::Texture(Precision::F32),
+                        BindingKind::Texture(Precision::F16),
+                    ]),
+                    STORAGE_TEXTURES,
+                ),
             ];
             for (what, got, limit) in measured {
                 if got > limit {

@@ -5,7 +5,8 @@ mod mutate;
 
 use std::sync::{Arc, OnceLock};
 
-use smr_gpu::check::{check, check_expected};
+use smr_gpu::Precision;
+use smr_gpu::check::{Selection, Target, check, check_expected, rows};
 use smr_gpu::gpu::{Gpu, GpuOptions};
 use smr_gpu::ops::{Case, Expected, find};
 use smr_gpu::shader::Replacement;
@@ -110,7 +111,7 @@ const FAULTS: &[Fault] = &[
     Fault {
         what: "the pixels of all rows summed one after the other",
         file: "global_avg_pool/quads",
-        changes: &[("row_sum += input", "sum += input")],
+        changes: &[("row_sum += loaded(input", "sum += loaded(input")],
         op: "global_avg_pool",
         case: "one third everywhere",
         by_hand: false,
@@ -526,6 +527,68 @@ const FAULTS: &[Fault] = &[
     },
 ];
 
+/// Faults that a case in f16 notices. All but the last are in how f16 is stored, of which f32 sees nothing.
+const HALF_FAULTS: &[Fault] = &[
+    Fault {
+        what: "what f16 cannot hold cut off instead of rounded",
+        file: "shared/texels",
+        changes: &[("0xfffu", "0u")],
+        op: "upsample_bilinear",
+        case: "prime sizes",
+        by_hand: false,
+    },
+    Fault {
+        what: "channels of a texel exchanged, two and two",
+        file: "shared/texels",
+        changes: &[("half.xz | (half.yw", "half.yw | (half.xz")],
+        op: "conv2d",
+        case: "two channels to three by hand",
+        by_hand: false,
+    },
+    Fault {
+        what: "the first two channels of a texel read for the others",
+        file: "shared/texels",
+        changes: &[("unpack2x16float(texel.y)", "unpack2x16float(texel.x)")],
+        op: "max_pool2d",
+        case: "as after conv1, primes",
+        by_hand: false,
+    },
+    Fault {
+        what: "sums without the power of two of their weights",
+        file: "conv2d/direct",
+        changes: &[(" * scale[out_quad]", "")],
+        op: "conv2d",
+        case: "two channels to three by hand",
+        by_hand: false,
+    },
+    Fault {
+        what: "sums without the power of two of their weights",
+        file: "linear/gemm",
+        changes: &[(" * scale[column]", "")],
+        op: "linear",
+        case: "primes",
+        by_hand: false,
+    },
+    Fault {
+        what: "sums in f16",
+        file: "conv2d/direct",
+        changes: &[(
+            "total = join(total, part);",
+            "total = join(total, part);
+            for (var i = 0u; i < 4u + none; i++) {
+                let sum = total.a[i];
+                total.a[i] = vec4<f32>(
+                    unpack2x16float(pack2x16float(sum.xy)),
+                    unpack2x16float(pack2x16float(sum.zw)),
+                );
+            }",
+        )],
+        op: "conv2d",
+        case: "512 to 512 at 10 × 10, 3 × 3",
+        by_hand: false,
+    },
+];
+
 impl Fault {
     fn replacement(&self) -> Replacement {
         let sources = mutate::sources();
@@ -558,14 +621,40 @@ fn each_fault_is_noticed_by_its_case() {
     assert!(missed.is_empty(), "not noticed:\n{}", missed.join("\n"));
 }
 
+#[test]
+fn each_fault_in_f16_is_noticed_by_its_case() {
+    let mut missed = Vec::new();
+    for (at, fault) in HALF_FAULTS.iter().enumerate() {
+        let target = Target::Gpu(gpu().with_replacement(fault.replacement()));
+        let failures = |precision| -> Vec<String> {
+            let selection = Selection {
+                case: Some(fault.case.into()),
+                precision: Some(precision),
+                ..Selection::default()
+            };
+            let entry = find(fault.op).expect("an operation");
+            let rows = rows(&target, entry, &selection).expect("a case of this name");
+            rows.into_iter().flat_map(|row| row.failures).collect()
+        };
+        let (half, single) = (failures(Precision::F16), failures(Precision::F32));
+        // The last shows in f32 too.
+        if half.is_empty() || (!single.is_empty() && at + 1 < HALF_FAULTS.len()) {
+            missed.push(format!("{}: {}: f32: {single:?}", fault.file, fault.what));
+        }
+    }
+    assert!(missed.is_empty(), "not noticed:\n{}", missed.join("\n"));
+}
+
 /// The table for people has them all.
 #[test]
 fn each_fault_is_in_the_table() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/mutants.md");
     let table = std::fs::read_to_string(path).expect("docs/mutants.md");
-    for Fault { what, file, op, case, by_hand, .. } in FAULTS {
+    let faults = FAULTS.iter().map(|fault| (fault, ""));
+    for (fault, precision) in faults.chain(HALF_FAULTS.iter().map(|fault| (fault, ", in f16"))) {
+        let Fault { what, file, op, case, by_hand, .. } = fault;
         let by_hand = if *by_hand { "yes |" } else { "|" };
-        let row = format!("| {what} | {file} | {op}: {case} | {by_hand}");
+        let row = format!("| {what} | {file} | {op}: {case}{precision} | {by_hand}");
         assert!(table.lines().any(|line| line == row), "expected in docs/mutants.md:\n{row}");
     }
 }
@@ -598,6 +687,16 @@ fn a_mutant_of_each_shader_is_noticed() {
 
 /// Faults that change no output, and why.
 const EQUIVALENT: &[(&str, &str, &str)] = &[
+    (
+        "shared/texels",
+        "let normal = ((size + 0xfffu + ((size << vec4<u32>(13u)) & vec4<u32>(1u))) >> vec4<u32>(13u))",
+        "of two f16 that are as near it takes the one nearer to zero, within every bound",
+    ),
+    (
+        "shared/texels",
+        "let normal = ((size + 4094u + ((size >> vec4<u32>(13u)) & vec4<u32>(1u))) >> vec4<u32>(13u))",
+        "likewise",
+    ),
     (
         "max_pool2d/planar",
         "return (bitcast<u32>(x) & 0x7fffffffu) > 2139095041u;",

@@ -3,6 +3,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use smr_gpu::Error;
+use smr_gpu::Precision;
 use smr_gpu::graph::Graph;
 use smr_gpu::kernels::Caps;
 use smr_gpu::lower::{Choice, Request, lower};
@@ -99,7 +100,10 @@ fn host(op: Box<dyn Op>, inputs: &[Value]) -> Result<(), Error> {
     let outputs = graph.apply_shared("op", op.clone(), &ids)?;
     outputs.iter().for_each(|id| graph.mark_output(*id));
     let (caps, choice) = (Caps { subgroup: Some(8), ..Caps::default() }, Choice::default());
-    lower(&graph, &Request { keep: &[], batch: 1, caps: &caps, choice: &choice })?;
+    lower(
+        &graph,
+        &Request { keep: &[], batch: 1, precision: Precision::F32, caps: &caps, choice: &choice },
+    )?;
     op.reference(&inputs.iter().collect::<Vec<_>>()).map(|_| ())
 }
 

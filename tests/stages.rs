@@ -15,10 +15,12 @@ use smr_gpu::simulator::dataset;
 use smr_gpu::simulator::render::{Renderer, Request};
 use smr_gpu::simulator::scene::Mix;
 use smr_gpu::tensor::{Tensor, Value};
-use smr_gpu::{Config, Device, Error, Frame, GpuDetector};
+use smr_gpu::{Config, Device, Error, Frame, GpuDetector, Precision};
 
 /// The bound on each stage's relative L2 error on the pictures of these tests.
 const STAGE_BOUND: f64 = 1e-5;
+/// The same in f16, whose numbers are up to 4.9e-4 off: about ten layers that each add as much.
+const HALF_STAGE_BOUND: f64 = 5e-3;
 /// What a relative error of 1e-5 makes of a logit of 10, and so at most of a score.
 const SCORE: f32 = 1e-4;
 /// The same of a box's deltas, on 300 picture pixels, and of the box that they refer to.
@@ -123,6 +125,27 @@ fn gpu_matches_the_f64_network_on_a_sample() {
     assert_eq!(found.proposals, expected.proposals);
     let shift = comparison.shift;
     assert!(shift.score <= SCORE.into() && shift.pixels <= PIXELS.into(), "{shift:?}");
+}
+
+/// Every operation stays within its bound where maps and weights are stored in f16; what drifts, drifts
+/// by digits of f16.
+#[test]
+fn f16_matches_the_f64_network_on_a_sample() {
+    let gpu = detector(Device::Gpu(AdapterChoice::Auto), |c| c.precision = Precision::F16);
+    let comparison = gpu.compare(&Frame::from(&first_sample())).expect("a comparison");
+    assert_eq!(comparison.failures().collect::<Vec<_>>(), [""; 0]);
+    assert_eq!(comparison.found.precision, Precision::F16);
+    for stage in &comparison.stages {
+        println!("{} {:?}", stage.stage, stage.drift());
+        assert!(stage.share() <= 1.0 && stage.bias().is_none_or(|b| b <= 1.0), "{stage:?}");
+        let drift = stage.drift().unwrap_or(0.0);
+        assert!(drift <= HALF_STAGE_BOUND, "{}: {drift:e}", stage.stage);
+        // In f32 it would be a hundredth of that.
+        assert!(!stage.stage.starts_with("backbone") || drift > STAGE_BOUND, "{}", stage.stage);
+    }
+    let (found, expected) = (&comparison.found, &comparison.expected);
+    assert!(!expected.detections.is_empty(), "the sample shows a snap");
+    assert_eq!(found.detections.len(), expected.detections.len());
 }
 
 /// A picture without a snap on which proposals overlap by 0.7 to within rounding, so that one is on
@@ -295,26 +318,31 @@ fn every_variant_matches_its_reference_and_pytorch() {
     }
 }
 
+/// The weights with every value of an f32 tensor replaced.
+fn with_value(tensor: &str, value: f32) -> Vec<u8> {
+    let mut bytes = std::fs::read(file("weights/smrnet.safetensors")).expect("the weights");
+    let (header, metadata) = safetensors::SafeTensors::read_metadata(&bytes).expect("a header");
+    let info = metadata.info(tensor).expect("the tensor");
+    assert_eq!(info.dtype, safetensors::Dtype::F32);
+    let start = 8 + header;
+    let range = start + info.data_offsets.0..start + info.data_offsets.1;
+    for old in bytes[range].chunks_exact_mut(4) {
+        old.copy_from_slice(&value.to_le_bytes());
+    }
+    bytes
+}
+
 /// A weight that makes the network overflow is reported, not drawn as a box or passed over, in the
 /// backbone and in the RoI head, by the first stage or head that shows it.
 #[test]
 fn overflow_is_reported() {
-    let bytes = std::fs::read(file("weights/smrnet.safetensors")).expect("the weights");
-    let (header, metadata) = safetensors::SafeTensors::read_metadata(&bytes).expect("a header");
     // The first is just small enough to be folded into its convolution.
     let faults = [
         ("backbone.bn1.weight", 1e37f32, "backbone.conv1"),
         ("roi_head.fc6.bias", 3e38, "roi_head.probabilities"),
     ];
     for (tensor, large, witness) in faults {
-        let info = metadata.info(tensor).expect("the tensor").clone();
-        assert_eq!(info.dtype, safetensors::Dtype::F32);
-        let mut broken = bytes.clone();
-        let start = 8 + header;
-        let range = start + info.data_offsets.0..start + info.data_offsets.1;
-        for value in broken[range].chunks_exact_mut(4) {
-            value.copy_from_slice(&large.to_le_bytes());
-        }
+        let broken = with_value(tensor, large);
         for device in [Device::Gpu(AdapterChoice::Auto), Device::Cpu] {
             let mut config = Config::new("unused").device(device);
             config.weights = smr_gpu::WeightSource::Bytes("broken".into(), broken.clone().into());
@@ -328,4 +356,38 @@ fn overflow_is_reported() {
             }
         }
     }
+}
+
+/// What passes 65504 is looked at again in f32, and comes out as if it had been at once; what passes f32
+/// too is reported.
+#[test]
+fn what_overflows_f16_is_repeated_in_f32() {
+    let look = |bytes: &[u8], precision| {
+        let config = Config::from_bytes("scaled", bytes.to_vec());
+        let config = config.device(Device::Gpu(AdapterChoice::Auto)).input_size(64);
+        let detector = GpuDetector::new(config.score(0.0).precision(precision));
+        detector.expect("a detector").detect(&first_sample())
+    };
+    let large = with_value("backbone.bn1.weight", 1e6);
+    let half = look(&large, Precision::F16).expect("detections");
+    let single = look(&large, Precision::F32).expect("detections");
+    assert_eq!((half.precision, single.precision), (Precision::F32, Precision::F32));
+    assert_eq!(half.proposals, single.proposals);
+    assert_eq!(half.detections, single.detections);
+    let own = std::fs::read(file("weights/smrnet.safetensors")).expect("the weights");
+    assert_eq!(look(&own, Precision::F16).expect("detections").precision, Precision::F16);
+    let larger = with_value("backbone.bn1.weight", 1e37);
+    let error = look(&larger, Precision::F16).expect_err("an overflow");
+    assert!(matches!(error, Error::NotFinite { .. }), "{error}");
+}
+
+/// Where the device overflows and the reference, whose sums are in f64, does not, the comparison says so.
+#[test]
+fn an_overflow_that_f64_hides_is_told() {
+    let config = Config::from_bytes("scaled", with_value("backbone.bn1.weight", 1e37));
+    let config = config.device(Device::Gpu(AdapterChoice::Auto)).input_size(64).keep_stages(true);
+    let gpu = GpuDetector::new(config).expect("a detector");
+    let error = gpu.compare(&Frame::from(&first_sample())).expect_err("an overflow");
+    let Error::Overflow { stage, precision, .. } = &error else { panic!("{error}") };
+    assert_eq!((stage.as_str(), precision.as_str()), ("backbone.conv1", "f32"));
 }

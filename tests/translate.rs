@@ -11,10 +11,11 @@ use smr_gpu::shader::reflect;
 
 /// A shader as naga takes it, with nothing beyond what WebGPU has in its core, and subgroups.
 fn parse(text: &str) -> Result<(naga::Module, ModuleInfo), String> {
-    let capabilities = match shaders::uses_subgroups(text) {
-        true => Capabilities::SUBGROUP,
-        false => Capabilities::empty(),
-    };
+    // `unpack2x16float` is in WebGPU's core.
+    let mut capabilities = Capabilities::SHADER_FLOAT16_IN_FLOAT32;
+    if shaders::uses_subgroups(text) {
+        capabilities |= Capabilities::SUBGROUP;
+    }
     let module = naga::front::wgsl::parse_str(text).map_err(|e| e.emit_to_string(text))?;
     let info = Validator::new(ValidationFlags::all(), capabilities)
         .validate(&module)

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 use smr_gpu::check::{Row, Selection, Target, rows};
-use smr_gpu::{Device, Error};
+use smr_gpu::{Device, Error, Precision};
 
 use super::detector::{DeviceArgs, open_gpu};
 use super::exit::{Exit, Failure};
@@ -11,9 +11,10 @@ use super::output::{json_line, line, tell};
 /// Hold each kernel of each operation to the f64 reference on this machine
 ///
 /// Runs the library's cases: hand-computed ones, edges and prime sizes, stiff and extreme values, on
-/// poisoned and guarded buffers. Prints for each kernel its number of cases, the largest error as a
-/// share of its bound, of which at most 1 passes, and the case of that error; in the end the command
-/// that runs the nearest case of all alone.
+/// poisoned and guarded buffers, in each precision. Prints for each kernel and precision the number of
+/// cases, the largest error as a share of its bound, of which at most 1 passes, and the case of that
+/// error; in the end the command that runs the nearest case of all alone. Says where numbers overflow
+/// on the device that do not in f64.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Check this operation alone.
@@ -27,7 +28,11 @@ pub(super) struct Args {
     #[arg(long, value_name = "NAME")]
     case: Option<String>,
 
-    /// Print an object a kernel, one a line.
+    /// Check what is stored so alone (f32, f16).
+    #[arg(long, value_name = "PRECISION")]
+    precision: Option<Precision>,
+
+    /// Print an object a kernel and precision, one a line.
     #[arg(long)]
     json: bool,
 
@@ -40,10 +45,12 @@ pub(super) struct Args {
 struct Object<'a> {
     operation: &'a str,
     kernel: &'a str,
+    precision: Precision,
     cases: usize,
     share: f64,
     nearest: &'a str,
     failures: &'a [String],
+    overflows: &'a [String],
     command: String,
 }
 
@@ -55,6 +62,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         operation: args.name.clone(),
         kernel: args.kernel.clone(),
         case: args.case.clone(),
+        precision: args.precision,
     };
     let entries = selection.entries()?;
     let target = match open_gpu(&args.device.device)? {
@@ -68,10 +76,10 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         }
     };
     if !args.json {
-        let head = ["operation", "kernel", "cases", "error / bound", "nearest case"];
+        let [operation, kernel, cases] = ["operation", "kernel", "cases"];
         line(format!(
-            "{:<17}  {:<25}  {:>5}  {:>13}          {}",
-            head[0], head[1], head[2], head[3], head[4]
+            "{operation:<17}  {kernel:<25}  in   {cases:>5}  {:>13}          {}",
+            "error / bound", "nearest case"
         ))?;
     }
     let mut all: Vec<Row> = Vec::new();
@@ -88,6 +96,9 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         for row in found {
             print(&row, &args)?;
             row.failures.iter().for_each(tell);
+            for line in &row.overflows {
+                tell(format!("{} in {}: {line}", row.kernel, row.precision));
+            }
             all.push(row);
         }
     }
@@ -106,15 +117,24 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
 }
 
 fn print(row: &Row, args: &Args) -> Result<(), Failure> {
-    let Row { operation, kernel, cases, share, nearest, failures } = row;
+    let Row { operation, kernel, precision, cases, share, nearest, failures, overflows } = row;
     if args.json {
         let command = command(row, &args.device.device);
-        let (cases, share) = (*cases, *share);
-        return json_line(&Object { operation, kernel, cases, share, nearest, failures, command });
+        return json_line(&Object {
+            operation,
+            kernel,
+            precision: *precision,
+            cases: *cases,
+            share: *share,
+            nearest,
+            failures,
+            overflows,
+            command,
+        });
     }
     let verdict = if failures.is_empty() { "ok" } else { "FAILED" };
     line(format!(
-        "{operation:<17}  {kernel:<25}  {cases:>5}  {share:>13.3}  {verdict:<6}  {nearest}"
+        "{operation:<17}  {kernel:<25}  {precision}  {cases:>5}  {share:>13.3}  {verdict:<6}  {nearest}"
     ))
 }
 
@@ -122,8 +142,8 @@ fn print(row: &Row, args: &Args) -> Result<(), Failure> {
 fn command(row: &Row, device: &Device) -> String {
     let (device, case) = (quoted(&device.to_string()), quoted(&row.nearest));
     format!(
-        "smr-gpu check {} --kernel {} --case {case} --device {device}",
-        row.operation, row.kernel
+        "smr-gpu check {} --kernel {} --precision {} --case {case} --device {device}",
+        row.operation, row.kernel, row.precision
     )
 }
 

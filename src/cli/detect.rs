@@ -10,7 +10,7 @@ use smr_gpu::detector::Stages;
 use smr_gpu::files::Outputs;
 use smr_gpu::graph::StageTime;
 use smr_gpu::tradeoff::Limit;
-use smr_gpu::{Detection, Detections, Frame, GpuDetector, WeightSource};
+use smr_gpu::{Detection, Detections, Frame, GpuDetector, Precision, WeightSource};
 
 use super::detector::{self, DetectorArgs, fraction};
 use super::draw::{Artist, Gallery};
@@ -59,7 +59,7 @@ pub(super) struct Args {
 
     /// Run as the table says that `smr-gpu tradeoff` wrote: the fastest configuration within
     /// --max-shift-mm, or with --min-iou. Refused where adapter, driver or weights are not the table's.
-    #[arg(long, value_name = "JSON", conflicts_with_all = ["weights", "size", "device"])]
+    #[arg(long, value_name = "JSON", conflicts_with_all = ["weights", "size", "device", "precision"])]
     tradeoff: Option<PathBuf>,
 
     /// With --tradeoff: nineteen of twenty boxes are within so many millimetres of the base's.
@@ -86,6 +86,7 @@ struct Record<'a> {
     detections: &'a [Detection],
     timings_ms: Timings<'a>,
     adapter: &'a str,
+    precision: Precision,
     /// The choice of kernels: where it is equal, so are the bits.
     kernels: String,
 }
@@ -159,6 +160,9 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             // Once: the others are most likely of the same sensor.
             tell(format!("{source}: {what}; --sensor or --mm-per-pixel say better"));
             assumed = true;
+        }
+        if found.precision != detector.precision() {
+            tell(format!("{source}: past what f16 holds; looked at again in f32"));
         }
         match args.json {
             true => json_line(&record(source, &found, &detector))?,
@@ -234,6 +238,7 @@ fn record<'a>(source: &Source, found: &'a Detections, detector: &'a GpuDetector)
         detections: &found.detections,
         timings_ms: Timings { stages: &found.stages, total: found.wall.as_secs_f64() * 1e3 },
         adapter: detector.adapter(),
+        precision: found.precision,
         kernels: format!("{:016x}", detector.choice().digest()),
     }
 }

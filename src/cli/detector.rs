@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions};
 use smr_gpu::model::ModelConfig;
-use smr_gpu::{Config, Device, Error, GpuDetector, Sensor};
+use smr_gpu::{Config, Device, Error, GpuDetector, Precision, Sensor};
 
 use super::exit::{Exit, Failure};
 use super::output::tell;
@@ -56,6 +56,11 @@ pub(super) struct DetectorArgs {
     /// they find.
     #[arg(long, value_name = "PIXELS", value_parser = input_size)]
     size: Option<usize>,
+
+    /// How a GPU stores maps and weights: `f16` takes half the memory and is less exact. A picture that
+    /// overflows it is looked at again in f32, which a line on stderr says.
+    #[arg(long, value_name = "f32|f16")]
+    precision: Option<Precision>,
 
     /// Longest wait for one picture on a GPU, in seconds.
     #[arg(long, default_value = "120", value_name = "SECONDS", value_parser = seconds)]
@@ -139,6 +144,7 @@ impl DetectorArgs {
         config.input_size = self.size;
         config.sensor = self.sensor()?;
         config.timeout = self.timeout;
+        config.precision = self.precision.unwrap_or_default();
         config.device = self.device.device.clone();
         config.choices = tune::folder();
         Ok(config)

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{Outcome, Values, compare};
+use super::{How, Outcome, Values, compare};
 use crate::graph::TensorId;
 use crate::model::{Network, Thresholds, Weights};
 use crate::ops::Crop;
@@ -58,7 +58,7 @@ impl Run {
 
     fn compare(&self, device: &Values) -> Outcome {
         let scale = 1000.0 / SIZE as f64;
-        compare(&self.network, &self.inputs(), device, &self.healthy, scale, &[])
+        compare(&self.network, &self.inputs(), [device, &self.healthy], scale, How::default())
             .expect("a comparison")
     }
 

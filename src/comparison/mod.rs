@@ -36,6 +36,7 @@ use crate::error::{Error, Result};
 use crate::graph::TensorId;
 use crate::kernels;
 use crate::model::Network;
+use crate::precision::Precision;
 use crate::tensor::{Tensor, Value};
 use choice::{Id, Moved, Side};
 
@@ -47,6 +48,20 @@ pub const SCORE_BOUND: f64 = 0.0005;
 /// Corners of a detection may be so far apart, in pixels of the picture: half of the first decimal.
 /// On the sensor's 1000 × 1000 pixels that is 0.002 mm.
 pub const CORNER_BOUND: f64 = 0.05;
+/// [`SCORE_BOUND`] where maps and weights are stored in f16.
+pub const HALF_SCORE_BOUND: f64 = 0.005;
+/// [`CORNER_BOUND`] where maps and weights are stored in f16.
+pub const HALF_CORNER_BOUND: f64 = 0.25;
+
+/// [`SCORE_BOUND`] and [`CORNER_BOUND`] for what a GPU stored in `precision`. Those of f16 are no promise
+/// of a digit: each map is off by up to 2⁻¹¹ of itself, and they are ten times what `smr-gpu compare
+/// samples/*.png --precision f16` shows of corners.
+pub fn seen_bounds(precision: Precision) -> [f64; 2] {
+    match precision {
+        Precision::F32 => [SCORE_BOUND, CORNER_BOUND],
+        Precision::F16 => [HALF_SCORE_BOUND, HALF_CORNER_BOUND],
+    }
+}
 
 /// One stage on the device and in the reference.
 #[derive(Clone, Debug)]
@@ -102,34 +117,40 @@ pub(crate) struct Outcome {
 /// The values of a run, with the graph's shapes.
 pub(crate) type Values = HashMap<TensorId, Value>;
 
+/// How a device ran a network: what its bounds depend on.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct How<'a> {
+    /// The kernel of each operation, in order.
+    pub kernels: &'a [&'static str],
+    /// How maps and weights are stored.
+    pub precision: Precision,
+    /// How each tensor is stored; those that are not named, in f32.
+    pub written: Option<&'a HashMap<TensorId, Precision>>,
+}
+
 /// Compares `got`, every tensor that a device computed from `inputs`, with the references, of which
 /// `want` are the tensors of the chain. `scale` is the pixels of the picture for one of the network's
-/// input, `kernels` the kernel of each operation, whose bound counts.
+/// input.
 ///
 /// # Errors
 /// [`Error::Tensor`] if a tensor is missing or has another type than the graph says.
 pub(crate) fn compare(
     network: &Network,
     inputs: &[(TensorId, &Value)],
-    got: &Values,
-    want: &Values,
+    [got, want]: [&Values; 2],
     scale: f64,
-    kernels: &[&str],
+    how: How,
 ) -> Result<Outcome> {
     let (device, reference) = (Choices::read(network, got)?, Choices::read(network, want)?);
     let mut stages = vec![Vec::new(); network.graph.stages().len()];
     for (index, step) in network.graph.steps(inputs, got).enumerate() {
         let step = step?;
         let expected = step.op.reference(&step.read)?;
-        let kernel = kernels.get(index).and_then(|id| kernels::find(id));
-        let own = match kernel {
-            Some(kernel) => kernel.tolerance(step.op, &step.read, &expected)?,
-            None => None,
-        };
-        let tolerances = match own {
-            Some(own) => own,
-            None => step.op.tolerance(&step.read, &expected)?,
-        };
+        let kernel = how.kernels.get(index).and_then(|id| kernels::find(id));
+        let written = |id| how.written.and_then(|all| all.get(id).copied()).unwrap_or_default();
+        let written: Vec<Precision> = step.outputs.iter().map(written).collect();
+        let values = (&step.read[..], &expected[..]);
+        let tolerances = kernels::bounds(kernel, step.op, values, how.precision, &written)?;
         let defined = step.op.defined(&expected.iter().collect::<Vec<_>>(), &step.read);
         // Rows that a count limits are those of the count.
         let ids = step.outputs.iter().chain(step.inputs).find(|id| device.ids.contains_key(*id));
@@ -153,20 +174,21 @@ pub(crate) fn compare(
         }
     }
 
+    let [score_bound, corner_bound] = seen_bounds(how.precision);
     // An excuse reaches no further than what a user sees may be off.
     let capped = |moved: Moved, order| Moved {
         order: moved.order.min(order),
-        side: moved.side.min(CORNER_BOUND / scale),
+        side: moved.side.min(corner_bound / scale),
     };
     let moved = choice::moved(&device.proposals, &reference.proposals);
     let [ours, theirs] = [got, want].map(|values| float(network, values, network.objectness));
     let moved = Moved { order: moved.order.max(largest_difference(ours?, theirs?)), ..moved };
     // A logit that moves by 4δ moves its score by at most δ.
-    let moved = capped(moved, 4.0 * SCORE_BOUND);
+    let moved = capped(moved, 4.0 * score_bound);
     let proposals =
         choice::compare(&device.proposals, &reference.proposals, moved, &HashSet::new());
     let moved = choice::moved(&device.detections, &reference.detections);
-    let moved = capped(moved, SCORE_BOUND);
+    let moved = capped(moved, score_bound);
     let [ours, theirs]: [HashSet<_>; 2] = [&device, &reference]
         .map(|c| c.proposals.chosen.iter().map(|(anchor, _)| *anchor).collect());
     let classes = 1..=network.config.classes.len() as u32;
@@ -178,8 +200,8 @@ pub(crate) fn compare(
         choice::compare(&device.detections, &reference.detections, moved, &upstream);
     let shift = shift(network, [got, want], [&device, &reference], scale)?;
     let seen = [
-        ("a score", shift.score, SCORE_BOUND, ""),
-        ("a corner", shift.pixels, CORNER_BOUND, " px"),
+        ("a score", shift.score, score_bound, ""),
+        ("a corner", shift.pixels, corner_bound, " px"),
     ];
     for (what, off, bound, unit) in seen {
         // Not `off > bound`: a NaN must fail.

@@ -9,10 +9,11 @@ use crate::error::{Error, Result};
 use crate::gpu::{AdapterChoice, Faults, GpuOptions};
 use crate::lower::Choice;
 use crate::model::{ModelConfig, Thresholds};
+use crate::precision::Precision;
 use crate::sensor::Sensor;
 
 #[cfg(doc)]
-use crate::detector::GpuDetector;
+use crate::detector::{Detections, GpuDetector};
 
 /// Most detections a picture may have.
 const MAX_DETECTIONS: usize = 100;
@@ -127,6 +128,10 @@ pub struct Config {
     pub rebuild_on_loss: bool,
     /// Pictures that may be in flight on a GPU at a time; each takes memory once it is needed.
     pub in_flight: usize,
+    /// How a GPU stores maps and weights. In [`Precision::F16`] they take half the memory, and results are
+    /// less exact; a picture with values past 65504, which is as far as f16 goes, is looked at once more in
+    /// f32: see [`Detections::precision`]. The CPU and the reference know no f16.
+    pub precision: Precision,
     /// Which kernels run on a GPU; what it does not name is chosen by the adapter's kind.
     pub choice: Choice,
     /// Folder in which to look for the choice that [`crate::tune`] measured on the adapter; it counts
@@ -165,6 +170,7 @@ impl Config {
             timeout: GpuOptions::default().timeout,
             rebuild_on_loss: true,
             in_flight: 2,
+            precision: Precision::F32,
             choice: Choice::default(),
             choices: None,
             checked: false,
@@ -230,6 +236,12 @@ impl Config {
     /// Sets [`Config::in_flight`].
     pub fn in_flight(mut self, pictures: usize) -> Self {
         self.in_flight = pictures;
+        self
+    }
+
+    /// Sets [`Config::precision`].
+    pub fn precision(mut self, precision: Precision) -> Self {
+        self.precision = precision;
         self
     }
 

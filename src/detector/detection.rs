@@ -4,7 +4,10 @@ use std::time::Duration;
 
 use crate::comparison::{ChoiceComparison, Shift, StageComparison};
 use crate::graph::StageTime;
+use crate::precision::Precision;
 
+#[cfg(doc)]
+use crate::detector::Config;
 #[cfg(doc)]
 use crate::model::ModelConfig;
 
@@ -47,6 +50,9 @@ pub struct Detections {
     pub height: u32,
     /// Millimetres on the gel for a pixel of the picture: the sensor's, or what was assumed.
     pub mm_per_pixel: f32,
+    /// How a GPU stored maps and weights: f32 also where [`Config::precision`] says f16, but the picture
+    /// overflowed that.
+    pub precision: Precision,
     /// How many proposals the last stage looked at.
     pub proposals: u32,
     /// Time by stage on the device; empty where it has no timestamps.

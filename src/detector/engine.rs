@@ -4,7 +4,7 @@ use std::sync::Arc;
 #[cfg(feature = "cpu")]
 use std::sync::{Mutex, PoisonError};
 
-use crate::comparison::Values;
+use crate::comparison::{How, Values};
 use crate::detector::pool::Pool;
 use crate::detector::{Config, Device};
 use crate::error::Result;
@@ -14,6 +14,7 @@ use crate::graph::{StageTime, TensorId};
 use crate::host::HostPlan;
 use crate::lower::{Choice, Request, lower};
 use crate::model::Network;
+use crate::precision::Precision;
 use crate::tensor::Value;
 use crate::tune::{Place, Tuned};
 
@@ -32,12 +33,12 @@ enum Runner {
 }
 
 impl Engine {
-    /// Makes a network ready on `gpu` or on the CPU. The weights that `like` has on the device, an engine
-    /// of the same weights, are shared.
+    /// Makes a network ready on `gpu`, where it is stored in a precision, or on the CPU. The weights that
+    /// `like` has on the device, an engine of the same weights, are shared.
     pub async fn new(
         config: &Config,
         mut network: Network,
-        gpu: Option<&Arc<Gpu>>,
+        gpu: Option<(&Arc<Gpu>, Precision)>,
         choice: &Choice,
         like: Option<&Self>,
     ) -> Result<Self> {
@@ -46,8 +47,9 @@ impl Engine {
             false => Vec::new(),
         };
         let runner = match (gpu, &config.device) {
-            (Some(gpu), _) => {
-                let request = Request { keep: &keep, batch: 1, caps: gpu.caps(), choice };
+            (Some((gpu, precision)), _) => {
+                let caps = gpu.caps();
+                let request = Request { keep: &keep, batch: 1, precision, caps, choice };
                 let lowered = lower(&network.graph, &request)?;
                 let like = like.and_then(|engine| match &engine.runner {
                     Runner::Gpu(pool) => Some(pool.program()),
@@ -68,11 +70,15 @@ impl Engine {
         Ok(Self { network, runner, keep })
     }
 
-    /// The kernel of each operation, in order; none but on a GPU.
-    pub fn kernels(&self) -> &[&'static str] {
+    /// How the network is run, as far as errors depend on it.
+    pub fn how(&self) -> How<'_> {
         match &self.runner {
-            Runner::Gpu(pool) => pool.program().kernels(),
-            _ => &[],
+            Runner::Gpu(pool) => {
+                let program = pool.program();
+                let (kernels, precision) = (program.kernels(), program.precision());
+                How { kernels, precision, written: Some(program.stored()) }
+            }
+            _ => How::default(),
         }
     }
 

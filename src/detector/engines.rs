@@ -8,9 +8,13 @@ use crate::error::{Error, Result};
 use crate::gpu::{AdapterChoice, Gpu, GpuOptions};
 use crate::lower::Choice;
 use crate::model::{ModelConfig, Network, Thresholds, Weights};
+use crate::precision::Precision;
 
 /// Sizes that are kept ready; of one more, the one that was not used for longest goes.
 const MOST: usize = 4;
+
+/// What an engine is for: height and width of its input, and how it stores maps and weights.
+type Key = ([usize; 2], Precision);
 
 /// A device, and an engine on it for each size.
 pub(super) struct Engines {
@@ -25,8 +29,8 @@ pub(super) struct Engines {
     pub choice: Choice,
     /// What went otherwise than the configuration says, for people.
     pub remarks: Vec<String>,
-    /// Height and width, the last used last.
-    ready: Mutex<Vec<([usize; 2], Arc<Engine>)>>,
+    /// By height, width and precision, the last used last.
+    ready: Mutex<Vec<(Key, Arc<Engine>)>>,
     /// Held while one is built.
     building: Mutex<()>,
 }
@@ -54,6 +58,9 @@ impl Engines {
             (None, Device::Reference) => "CPU reference (f64)".to_owned(),
             (None, _) => "CPU (f32)".to_owned(),
         };
+        if gpu.is_none() && config.precision.is_half() {
+            remarks.push(format!("f16 is for GPUs: {adapter} computes as ever"));
+        }
         Ok(Self {
             config: config.clone(),
             weights,
@@ -86,36 +93,50 @@ impl Engines {
     /// # Errors
     /// As [`Engine::new`].
     pub fn engine(&self, size: [usize; 2]) -> Result<Arc<Engine>> {
-        if let Some(engine) = self.find(size) {
+        self.engine_in(size, self.precision())
+    }
+
+    /// How maps and weights are stored: as the configuration says, but on the CPU.
+    pub fn precision(&self) -> Precision {
+        self.gpu.as_ref().map_or(Precision::F32, |_| self.config.precision)
+    }
+
+    /// [`Engines::engine`] in a precision of its own.
+    ///
+    /// # Errors
+    /// As [`Engine::new`].
+    pub fn engine_in(&self, size: [usize; 2], precision: Precision) -> Result<Arc<Engine>> {
+        let key = (size, precision);
+        if let Some(engine) = self.find(key) {
             return Ok(engine);
         }
         let _one = self.building.lock().unwrap_or_else(PoisonError::into_inner);
         // Another thread may have been faster.
-        if let Some(engine) = self.find(size) {
+        if let Some(engine) = self.find(key) {
             return Ok(engine);
         }
         let like = self.ready().last().map(|(_, engine)| engine.clone());
         let network = Network::new(self.weights.clone(), size, self.thresholds)?;
-        let engine =
-            Engine::new(&self.config, network, self.gpu.as_ref(), &self.choice, like.as_deref());
+        let gpu = self.gpu.as_ref().map(|gpu| (gpu, precision));
+        let engine = Engine::new(&self.config, network, gpu, &self.choice, like.as_deref());
         let engine = Arc::new(pollster::block_on(engine)?);
         let mut ready = self.ready();
-        ready.push((size, engine.clone()));
+        ready.push((key, engine.clone()));
         if ready.len() > MOST {
             ready.remove(0);
         }
         Ok(engine)
     }
 
-    fn find(&self, size: [usize; 2]) -> Option<Arc<Engine>> {
+    fn find(&self, key: Key) -> Option<Arc<Engine>> {
         let mut ready = self.ready();
-        let at = ready.iter().position(|(of, _)| *of == size)?;
+        let at = ready.iter().position(|(of, _)| *of == key)?;
         let found = ready.remove(at);
         ready.push(found);
         ready.last().map(|(_, engine)| engine.clone())
     }
 
-    fn ready(&self) -> MutexGuard<'_, Vec<([usize; 2], Arc<Engine>)>> {
+    fn ready(&self) -> MutexGuard<'_, Vec<(Key, Arc<Engine>)>> {
         self.ready.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -9,6 +9,7 @@ use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::graph::{StageTime, TensorId};
 use crate::model::{ModelConfig, Network};
+use crate::precision::Precision;
 use crate::sensor::View;
 use crate::tensor::{Tensor, Value};
 
@@ -98,6 +99,7 @@ impl Input {
             width,
             height,
             mm_per_pixel: self.view.mm_per_pixel,
+            precision: Precision::F32,
             proposals: count_of(network, values, network.proposal_count)?,
             stages,
             wall: self.start.elapsed(),

@@ -28,6 +28,7 @@ use crate::gpu::{Deadline, Gpu};
 use crate::graph::{StageTime, TensorId};
 use crate::lower::Choice;
 use crate::model::ModelConfig;
+use crate::precision::Precision;
 use crate::profile::{self, CommandTime};
 use crate::sensor::{self, Sensor, View};
 use crate::tensor::Value;
@@ -161,6 +162,12 @@ impl GpuDetector {
         }
     }
 
+    /// How maps and weights are stored: [`Config::precision`], but on the CPU. A picture that overflows
+    /// f16 has [`Precision::F32`] in its [`Detections`].
+    pub fn precision(&self) -> Precision {
+        self.engines().precision()
+    }
+
     /// The network's configuration.
     pub fn model(&self) -> &ModelConfig {
         &self.model
@@ -210,7 +217,8 @@ impl GpuDetector {
         let inputs = input.inputs(&engine.network);
         let mut remarks = Vec::new();
         let choice = engine::choose(&self.config, gpu, &mut remarks);
-        profile::commands(gpu, &engine.network.graph, &inputs, &choice, runs)
+        let how = (&choice, self.config.precision);
+        profile::commands(gpu, &engine.network.graph, &inputs, how, runs)
     }
 
     /// A picture of the sensor's size in which there is something everywhere.
@@ -291,7 +299,8 @@ impl GpuDetector {
     /// what comes out: see [`crate::comparison`]. Needs `Config::keep_stages`.
     ///
     /// # Errors
-    /// As [`GpuDetector::detect_frame`]; [`Error::Param`] without `keep_stages` or a GPU.
+    /// As [`GpuDetector::detect_frame`]; [`Error::Param`] without `keep_stages` or a GPU;
+    /// [`Error::Overflow`] where the device's numbers overflow and those of the reference do not.
     pub fn compare(&self, frame: &Frame) -> Result<Comparison> {
         let mut input = self.input(frame)?;
         let engine = self.engines().engine(input.geometry.size)?;
@@ -302,13 +311,20 @@ impl GpuDetector {
         let network = &engine.network;
         let deadline = Deadline::after(self.config.timeout);
         let (got, times) = pollster::block_on(engine.run(&input.inputs(network), deadline))?;
-        let found = input.detections(network, &got, times)?;
+        let found = input.detections(network, &got, times);
         input.start = Instant::now();
         let inputs = input.inputs(network);
         let (want, times) = network.graph.reference(&inputs, &network.graph.computed())?;
         let expected = input.detections(network, &want, times)?;
+        let precision = engine.how().precision;
+        let found = match found {
+            Err(Error::NotFinite { stage, count }) => {
+                return Err(Error::Overflow { stage, count, precision: precision.to_string() });
+            }
+            found => Detections { precision, ..found? },
+        };
         let scale = input.scale().into_iter().map(f64::from).fold(0.0, f64::max);
-        let outcome = comparison::compare(network, &inputs, &got, &want, scale, engine.kernels())?;
+        let outcome = comparison::compare(network, &inputs, [&got, &want], scale, engine.how())?;
         let time = |stage: &str| found.stages.iter().find(|t| t.stage == stage).map(|t| t.time);
         let stages = expected.stages.iter().zip(outcome.stages);
         let stages = stages.map(|(reference, tensors)| StageComparison {
@@ -355,7 +371,24 @@ impl GpuDetector {
         input: &Input,
         deadline: Deadline,
     ) -> Result<(Values, Detections)> {
-        let engine = engines.engine(input.geometry.size)?;
+        let (size, precision) = (input.geometry.size, engines.precision());
+        let found = self.look_in(engines.engine_in(size, precision)?, input, deadline).await;
+        match found {
+            // Past what f16 holds.
+            Err(Error::NotFinite { .. }) if precision == Precision::F16 => {
+                let engine = engines.engine_in(size, Precision::F32)?;
+                self.look_in(engine, input, deadline).await
+            }
+            found => found.map(|(values, found)| (values, Detections { precision, ..found })),
+        }
+    }
+
+    async fn look_in(
+        &self,
+        engine: Arc<Engine>,
+        input: &Input,
+        deadline: Deadline,
+    ) -> Result<(Values, Detections)> {
         let network = &engine.network;
         let inputs = input.inputs(network);
         let (mut values, times): (Values, Vec<StageTime>) = engine.run(&inputs, deadline).await?;
@@ -406,6 +439,7 @@ mod tests {
             width: 640,
             height: 480,
             mm_per_pixel: 0.0625,
+            precision: Precision::F16,
             proposals: 7,
             stages,
             wall: Duration::from_millis(20),
@@ -417,7 +451,7 @@ mod tests {
                 "box": [1.0, 2.5, 3.0, 4.0], "center_mm": [-0.5, 0.25],
                 "center_std_mm": [0.125, 0.0625], "yaw_deg": null, "yaw_std_deg": null, "whole": 0.5
             }],
-            "width": 640, "height": 480, "mm_per_pixel": 0.0625, "proposals": 7,
+            "width": 640, "height": 480, "mm_per_pixel": 0.0625, "precision": "f16", "proposals": 7,
             "stages": [{"stage": "input", "ms": 1.5}],
             "wall_ms": 20.0
         });

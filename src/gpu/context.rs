@@ -10,6 +10,7 @@ use crate::gpu::faults::{Call, Fault, Faults};
 use crate::gpu::native::{self, Clock, Loss, Poller};
 use crate::gpu::program::Resource;
 use crate::kernels::{Caps, Command, Dispatch, MAX_WORKGROUPS, Recording, Storage};
+use crate::precision::Precision;
 use crate::shader::{self, BindingKind, Variant};
 
 /// Which adapter to open.
@@ -533,39 +534,39 @@ impl Gpu {
                     mapped_at_creation: false,
                 }))
             }
-            Storage::Texture { width, height } => {
+            Storage::Texture { width, height, precision } => {
                 let (mut width, height) = (uneven(width), uneven(height));
                 if self.fault(Call::Texture) == Some(Fault::Invalid) {
                     width = 0;
                 }
-                let texture = self.create_texture(width, height);
+                let texture = self.create_texture(width, height, precision);
                 let view = texture.create_view(&Default::default());
                 Resource::Texture(texture, view)
             }
         }
     }
 
-    fn create_texture(&self, width: u32, height: u32) -> wgpu::Texture {
+    fn create_texture(&self, width: u32, height: u32, precision: Precision) -> wgpu::Texture {
         self.device.create_texture(&wgpu::TextureDescriptor {
             label: None,
             size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
             mip_level_count: 1,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
-            format: wgpu::TextureFormat::Rgba32Float,
+            format: texture_format(precision),
             usage: wgpu::TextureUsages::STORAGE_BINDING | wgpu::TextureUsages::COPY_DST,
             view_formats: &[],
         })
     }
 
-    /// Fills a texture of rgba32float.
+    /// Fills a texture.
     pub(super) fn write_texture(&self, texture: &wgpu::Texture, bytes: &[u8]) {
         self.write_rows(texture, texture.width(), 0, bytes);
     }
 
-    /// Writes rows of `width` texels to a texture of rgba32float, from row `first` on.
+    /// Writes rows of `width` texels to a texture, from row `first` on.
     fn write_rows(&self, texture: &wgpu::Texture, width: u32, first: u32, bytes: &[u8]) {
-        let row = width * 16;
+        let row = row_bytes(texture, width);
         let height = (bytes.len() / row.max(1) as usize) as u32;
         let refused = self.fault(Call::Write) == Some(Fault::Invalid);
         let bytes = if refused { &[] } else { bytes };
@@ -591,9 +592,9 @@ impl Gpu {
         }
     }
 
-    /// The same for rows of `width` texels of a texture of rgba32float, some rows at a time.
+    /// The same for rows of `width` texels of a texture, some rows at a time.
     pub(super) fn upload_texture(&self, texture: &wgpu::Texture, width: u32, bytes: &[u8]) {
-        let row = (width as usize * 16).max(1);
+        let row = (row_bytes(texture, width) as usize).max(1);
         let rows = (UPLOAD_BYTES / row).max(1);
         for (index, part) in bytes.chunks(rows * row).enumerate() {
             self.write_rows(texture, width, (index * rows) as u32, part);
@@ -720,8 +721,10 @@ impl Gpu {
             })
         };
         self.unheard(|| {
-            let texture = self.create_texture(uneven(1), uneven(1));
-            let view = texture.create_view(&Default::default());
+            let views = [Precision::F32, Precision::F16].map(|precision| {
+                let texture = self.create_texture(uneven(1), uneven(1), precision);
+                texture.create_view(&Default::default())
+            });
             let uniform = buffer(wgpu::BufferUsages::UNIFORM);
             self.queue.write_buffer(&uniform, 0, params);
             let bindings = pipeline.bindings.iter();
@@ -731,7 +734,10 @@ impl Gpu {
                 wgpu::BindGroupEntry {
                     binding: *binding,
                     resource: match kind {
-                        BindingKind::Texture => wgpu::BindingResource::TextureView(&view),
+                        BindingKind::Texture(precision) => {
+                            let view = &views[usize::from(precision.is_half())];
+                            wgpu::BindingResource::TextureView(view)
+                        }
                         BindingKind::Uniform => uniform.as_entire_binding(),
                         BindingKind::Read | BindingKind::ReadWrite => buffer.as_entire_binding(),
                     },
@@ -787,9 +793,9 @@ impl Gpu {
                     BindingKind::ReadWrite => {
                         buffer(wgpu::BufferBindingType::Storage { read_only: false })
                     }
-                    BindingKind::Texture => wgpu::BindingType::StorageTexture {
+                    BindingKind::Texture(precision) => wgpu::BindingType::StorageTexture {
                         access: wgpu::StorageTextureAccess::ReadOnly,
-                        format: wgpu::TextureFormat::Rgba32Float,
+                        format: texture_format(*precision),
                         view_dimension: wgpu::TextureViewDimension::D2,
                     },
                 },
@@ -844,6 +850,23 @@ impl Drop for Gpu {
     }
 }
 
+/// The format of a texture of four channels.
+fn texture_format(precision: Precision) -> wgpu::TextureFormat {
+    match precision {
+        Precision::F32 => wgpu::TextureFormat::Rgba32Float,
+        Precision::F16 => wgpu::TextureFormat::Rgba16Float,
+    }
+}
+
+/// Bytes of `width` texels of a texture of four channels.
+fn row_bytes(texture: &wgpu::Texture, width: u32) -> u32 {
+    let precision = match texture.format() {
+        wgpu::TextureFormat::Rgba16Float => Precision::F16,
+        _ => Precision::F32,
+    };
+    width * precision.texel_bytes()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -859,18 +882,18 @@ mod tests {
         {
             let reflection = shader::reflect(shader, &variant).expect("a shader");
             for entry in reflection.entries {
-                let count = |kinds: &[BindingKind]| {
-                    entry.bindings.iter().filter(|b| kinds.contains(&b.2)).count() as u32
+                let count = |is: fn(&BindingKind) -> bool| {
+                    entry.bindings.iter().filter(|b| is(&b.2)).count() as u32
                 };
                 let [x, y, z] = entry.workgroup_size;
                 let used = [
-                    count(&[BindingKind::Read, BindingKind::ReadWrite]),
-                    count(&[BindingKind::Texture]),
+                    count(|kind| matches!(kind, BindingKind::Read | BindingKind::ReadWrite)),
+                    count(|kind| matches!(kind, BindingKind::Texture(_))),
                     entry.workgroup_bytes,
                     x * y * z,
                     y,
                     z,
-                    count(&[BindingKind::Uniform]),
+                    count(|kind| *kind == BindingKind::Uniform),
                 ];
                 most.iter_mut().zip(used).for_each(|(most, used)| *most = used.max(*most));
             }

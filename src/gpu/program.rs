@@ -1,5 +1,6 @@
 //! A [`Program`]: a lowered graph with its pipelines and weights on a device, shared by all slots.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -8,6 +9,7 @@ use crate::gpu::context::{Gpu, Pipeline};
 use crate::graph::TensorId;
 use crate::kernels::{Command, Dispatch, Grid, Layout, Recording, Role, Storage, TensorInfo};
 use crate::lower::{Lowered, lifetimes};
+use crate::precision::Precision;
 use crate::shader::BindingKind;
 use crate::shape::Extent;
 
@@ -86,6 +88,7 @@ pub(super) enum Step {
         to: Place,
         width: u32,
         height: u32,
+        row_bytes: u32,
     },
 }
 
@@ -137,6 +140,8 @@ pub struct Program {
     pub(super) outputs: Vec<Output>,
     pub(super) staging_bytes: u64,
     kernels: Vec<&'static str>,
+    precision: Precision,
+    stored: HashMap<TensorId, Precision>,
     shared: HashMap<(String, Storage), usize>,
 }
 
@@ -196,6 +201,8 @@ impl Program {
             outputs: Vec::new(),
             staging_bytes: 0,
             kernels: lowered.kernels.clone(),
+            precision: lowered.precision,
+            stored: lowered.places.keys().map(|id| (*id, lowered.stored(*id))).collect(),
             shared: HashMap::new(),
         };
         gpu.compile(recording, || program.put(recording, &assignment, like, guard))?;
@@ -270,7 +277,11 @@ impl Program {
                             Storage::Texture { width, .. } => width,
                             Storage::Buffer { .. } => 0,
                         };
-                        self.gpu.upload_texture(texture, width, value.bytes());
+                        let bytes = match info.precision {
+                            Precision::F32 => Cow::from(value.bytes()),
+                            precision => precision.encode(value.f32()?.data()).into(),
+                        };
+                        self.gpu.upload_texture(texture, width, &bytes);
                     }
                 }
                 resource
@@ -293,11 +304,12 @@ impl Program {
                 let info = &self.tensors[to.0];
                 let missing =
                     || Error::tensor("program", &info.name, "a texture", "another tensor");
-                let Storage::Texture { width, height } = info.storage else {
+                let Storage::Texture { width, height, precision } = info.storage else {
                     return Err(missing());
                 };
+                let row_bytes = width * precision.texel_bytes();
                 let [from, to] = [from, to].map(|id| self.places[id.0].ok_or_else(missing));
-                self.steps.push(Step::Copy { from: from?, to: to?, width, height });
+                self.steps.push(Step::Copy { from: from?, to: to?, width, height, row_bytes });
                 return Ok(());
             }
         };
@@ -381,6 +393,16 @@ impl Program {
         self.batch
     }
 
+    /// How maps and weights are stored, where kernels store them otherwise than planar.
+    pub fn precision(&self) -> Precision {
+        self.precision
+    }
+
+    /// How each of the graph's tensors that is given or read back is stored.
+    pub(crate) fn stored(&self) -> &HashMap<TensorId, Precision> {
+        &self.stored
+    }
+
     /// The kernel of each operation, in order.
     pub fn kernels(&self) -> &[&'static str] {
         &self.kernels
@@ -392,7 +414,7 @@ fn check_sizes(recording: &Recording, limits: &wgpu::Limits) -> Result<()> {
         let (what, needed, available) = match info.storage {
             _ if matches!(info.role, Role::Input(Extent::UpTo)) => continue,
             Storage::Buffer { bytes } => ("bytes", bytes, limits.max_storage_buffer_binding_size),
-            Storage::Texture { width, height } => (
+            Storage::Texture { width, height, .. } => (
                 "texels of a side",
                 width.max(height).into(),
                 limits.max_texture_dimension_2d.into(),

@@ -16,6 +16,7 @@ use crate::gpu::program::{
 use crate::graph::{Graph, StageTime, TensorId};
 use crate::kernels::{Layout, Quads, Role, Storage};
 use crate::lower::{Choice, Request, lower};
+use crate::precision::Precision;
 use crate::shape::DType;
 use crate::tensor::{Tensor, Value};
 
@@ -95,7 +96,8 @@ impl Slot {
         options: ProgramOptions,
     ) -> Result<Self> {
         let choice = Choice::default();
-        let request = Request { keep, batch: 1, caps: gpu.caps(), choice: &choice };
+        let precision = Precision::F32;
+        let request = Request { keep, batch: 1, precision, caps: gpu.caps(), choice: &choice };
         let lowered = lower(graph, &request)?;
         let program = Program::new(gpu, &lowered, None, options).await?;
         Self::new(&Arc::new(program)).await
@@ -327,7 +329,7 @@ impl Slot {
             return;
         }
         let gpu = &self.program.gpu;
-        for (index, _info) in self.program.tensors.iter().enumerate() {
+        for (index, info) in self.program.tensors.iter().enumerate() {
             let Some(place) = self.program.places[index] else { continue };
             let word = |at: usize| self.poison.word(TensorId(index), at);
             match (place, self.resource(place, 0)) {
@@ -341,8 +343,9 @@ impl Slot {
                     gpu.write(&buffer, first, bytemuck::cast_slice(&poison));
                 }
                 (_, Some(Resource::Texture(texture, _))) => {
-                    let words = texture.width() as usize * texture.height() as usize * 4;
-                    let poison: Vec<u32> = (0..words).map(word).collect();
+                    let texels = texture.width() as usize * texture.height() as usize;
+                    let bytes = texels * info.precision.texel_bytes() as usize;
+                    let poison: Vec<u32> = (0..bytes / 4).map(word).collect();
                     gpu.write_texture(&texture, bytemuck::cast_slice(&poison));
                 }
             }
@@ -422,8 +425,9 @@ impl Slot {
             }
             let passes: Vec<usize> = (0..runs.len()).filter(|r| !is_copy(runs[*r].start)).collect();
             for (r, run) in runs.iter().enumerate() {
-                if let Step::Copy { from, to, width, height } = &program.steps[run.start] {
-                    self.copy(&mut encoder, (*from, *to), (*width, *height));
+                if let Step::Copy { from, to, width, height, row_bytes } = &program.steps[run.start]
+                {
+                    self.copy(&mut encoder, (*from, *to), (*width, *height), *row_bytes);
                     continue;
                 }
                 let (first, last) = match program.options.profile {
@@ -476,6 +480,7 @@ impl Slot {
         encoder: &mut wgpu::CommandEncoder,
         (from, to): (Place, Place),
         (width, height): (u32, u32),
+        row_bytes: u32,
     ) {
         let (from, to) = (self.resource(from, 0), self.resource(to, 0));
         let (Some(Resource::Buffer(from)), Some(Resource::Texture(to, _))) = (from, to) else {
@@ -483,7 +488,7 @@ impl Slot {
         };
         let layout = wgpu::TexelCopyBufferLayout {
             offset: 0,
-            bytes_per_row: Some(width * 16),
+            bytes_per_row: Some(row_bytes),
             rows_per_image: Some(height),
         };
         let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
@@ -580,12 +585,13 @@ impl Slot {
                     Value::from_bytes(&info.spec, &bytes[start..end])?
                 }
                 Layout::Quads | Layout::Texture => {
-                    let quads = Quads::of(&info.spec, program.batch, program.gpu.caps());
+                    let (caps, precision) = (program.gpu.caps(), info.precision);
+                    let quads = Quads::of(&info.spec, precision, program.batch, caps);
                     let wrong = || Error::tensor("run", &info.name, "a map [C, H, W]", &info.spec);
                     let quads =
                         quads.filter(|_| info.spec.dtype == DType::F32).ok_or_else(wrong)?;
-                    let end = start + quads.bytes() as usize;
-                    let texels: Vec<f32> = bytemuck::pod_collect_to_vec(&bytes[start..end]);
+                    let end = start + info.stride as usize;
+                    let texels = precision.decode(&bytes[start..end]);
                     Tensor::new(info.spec.shape.clone(), quads.unpack(&texels))?.into()
                 }
             };

@@ -2,7 +2,8 @@
 
 use crate::error::{Error, Result};
 use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Layout, MAX_WORKGROUPS, Quads, Recording};
+use crate::kernels::{Caps, Dispatch, Grid, Layout, MAX_WORKGROUPS, Quads, Recording, texels};
+use crate::precision::Precision;
 use crate::shader::{Shader, Variant, shader_params};
 
 shader_params! {
@@ -21,6 +22,11 @@ static SHADER: Shader =
 /// Invocations of a workgroup.
 const LANES: u32 = 64;
 
+/// The shader for maps that are stored so.
+fn variant(precision: Precision) -> Variant {
+    texels(Variant::default(), precision, precision)
+}
+
 /// A conversion that a lowering puts between two kernels; no operation of the network.
 #[derive(Debug)]
 pub(crate) struct Convert;
@@ -28,7 +34,7 @@ pub(crate) struct Convert;
 impl Convert {
     /// Its shader.
     pub fn shaders(_caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
+        [Precision::F32, Precision::F16].map(|p| (&SHADER, variant(p))).into()
     }
 
     /// Appends what brings `from` to the layout of `to`, a tensor of the same shape.
@@ -70,7 +76,9 @@ impl Convert {
         };
         let bindings = [(names[0], planar), (names[1], quads)];
         let grid = Grid::Workgroups([map.width.div_ceil(LANES), rows, recording.batch()]);
-        recording.dispatch(Dispatch::new(&SHADER, entry, &params, &bindings, grid));
+        let variant = variant(recording.info(quads).precision);
+        recording
+            .dispatch(Dispatch::new(&SHADER, entry, &params, &bindings, grid).variant(variant));
         Ok(())
     }
 }

@@ -1,6 +1,7 @@
-//! How a tensor's values lie on a device.
+//! How a tensor's values lie on a device. A layout of maps is stored in either [`Precision`].
 
 use crate::kernels::{Caps, MAX_WORKGROUPS};
+use crate::precision::Precision;
 use crate::shape::TensorSpec;
 
 /// The order of a tensor's values on a device, and what holds them.
@@ -10,12 +11,12 @@ pub enum Layout {
     Planar,
     /// A buffer with a pixel's channels four by four: see [`Quads`].
     Quads,
-    /// The same in a storage texture of rgba32float.
+    /// The same in a storage texture.
     Texture,
 }
 
-/// Texels to which rows are padded: a copy from a buffer to a texture wants rows of 256 bytes.
-const PITCH: u32 = 16;
+/// Bytes to which rows are padded: so a copy from a buffer to a texture wants them.
+const PITCH: u32 = 256;
 
 /// Where the channels of a map `[C, H, W]` lie, four a texel, in a buffer or in a texture: mirror of
 /// `Quads` in `wgsl/shared/quads.wgsl`.
@@ -44,15 +45,15 @@ pub struct Quads {
 }
 
 impl Quads {
-    /// The arrangement of a map for `batch` pictures; `None` for what is no map `[C, H, W]`, is too
+    /// The arrangement of a map for `batch` pictures, stored in `precision`; `None` for what is no map `[C, H, W]`, is too
     /// large for the adapter's textures however it is arranged, or has more rows of quads than a
     /// dimension of a grid has workgroups.
-    pub fn of(spec: &TensorSpec, batch: u32, caps: &Caps) -> Option<Self> {
+    pub fn of(spec: &TensorSpec, precision: Precision, batch: u32, caps: &Caps) -> Option<Self> {
         let [channels, height, width] = <[usize; 3]>::try_from(spec.shape.0.as_slice()).ok()?;
         let [channels, height, width] =
             [channels, height, width].map(|d| u32::try_from(d).unwrap_or(u32::MAX));
         let quads = channels.div_ceil(4);
-        let pitch = width.checked_next_multiple_of(PITCH)?;
+        let pitch = width.checked_next_multiple_of(PITCH / precision.texel_bytes())?;
         let most = u64::from(caps.texture_side);
         let stacked = |columns: u32| {
             u64::from(quads.div_ceil(columns)) * u64::from(height) * u64::from(batch)
@@ -70,9 +71,9 @@ impl Quads {
         self.columns * self.pitch
     }
 
-    /// Bytes of a picture.
-    pub fn bytes(&self) -> u64 {
-        u64::from(self.texture_width()) * u64::from(self.rows) * 16
+    /// Texels of a picture.
+    pub fn texels(&self) -> u64 {
+        u64::from(self.texture_width()) * u64::from(self.rows)
     }
 
     /// The values of a picture in the order of the shape, from its texels.
@@ -103,23 +104,35 @@ mod tests {
     #[test]
     fn quads_stand_side_by_side_where_a_column_is_too_high() {
         let spec = TensorSpec::f32([10, 5, 20]);
-        let one = Quads::of(&spec, 1, &caps(64)).expect("a map that fits");
+        let of = |batch, side| Quads::of(&spec, Precision::F32, batch, &caps(side));
+        let one = of(1, 64).expect("a map that fits");
         assert_eq!((one.quads, one.pitch, one.columns, one.rows), (3, 32, 1, 15));
-        let two = Quads::of(&spec, 4, &caps(64)).expect("a map that fits");
+        let two = of(4, 64).expect("a map that fits");
         assert_eq!((two.columns, two.rows, two.texture_width()), (1, 15, 32));
-        let two = Quads::of(&spec, 5, &caps(64)).expect("a map that fits");
+        let two = of(5, 64).expect("a map that fits");
         assert_eq!((two.columns, two.rows, two.texture_width()), (2, 10, 64));
-        assert_eq!(Quads::of(&spec, 7, &caps(64)), None, "3 columns are 96 texels wide");
-        assert_eq!(Quads::of(&TensorSpec::f32([10, 5]), 1, &caps(64)), None);
-        let rows = |quads: usize| Quads::of(&TensorSpec::f32([4 * quads, 1, 1]), 1, &caps(8192));
+        assert_eq!(of(7, 64), None, "3 columns are 96 texels wide");
+        let other = |spec, side| Quads::of(&spec, Precision::F32, 1, &caps(side));
+        assert_eq!(other(TensorSpec::f32([10, 5]), 64), None);
+        let rows = |quads: usize| other(TensorSpec::f32([4 * quads, 1, 1]), 8192);
         assert!(rows(65_535).is_some() && rows(65_536).is_none(), "a grid's longest side");
+    }
+
+    /// A row of 20 texels of 8 bytes fills one of 256 bytes, one of 33 two.
+    #[test]
+    fn rows_of_halves_are_padded_to_the_same_bytes() {
+        for (width, pitch) in [(20, 32), (32, 32), (33, 64)] {
+            let spec = TensorSpec::f32([4, 1, width]);
+            let quads = Quads::of(&spec, Precision::F16, 1, &caps(64)).expect("a map that fits");
+            assert_eq!(quads.pitch, pitch);
+        }
     }
 
     #[test]
     fn unpacking_finds_each_channel() {
         let spec = TensorSpec::f32([6, 2, 3]);
-        let quads = Quads::of(&spec, 1, &caps(32)).expect("a map that fits");
-        let mut texels = vec![f32::NAN; (quads.bytes() / 4) as usize];
+        let quads = Quads::of(&spec, Precision::F32, 1, &caps(32)).expect("a map that fits");
+        let mut texels = vec![f32::NAN; quads.texels() as usize * 4];
         // Channel c of pixel (y, x) is 100c + 10y + x.
         for (c, y, x) in (0..36).map(|i| (i / 6, i / 3 % 2, i % 3)) {
             texels[((c / 4 * 2 + y) * 16 + x) * 4 + c % 4] = (100 * c + 10 * y + x) as f32;

@@ -9,6 +9,7 @@ mod count;
 mod layout;
 mod products;
 mod recording;
+mod weights;
 
 mod apply_gates;
 mod channel_gate;
@@ -41,6 +42,7 @@ use std::fmt::Debug;
 use crate::error::{Error, Result};
 use crate::graph::TensorId;
 use crate::ops::{Op, Tolerance};
+use crate::precision::Precision;
 use crate::shader::{Shader, Variant};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
@@ -50,6 +52,7 @@ pub use layout::{Layout, Quads};
 pub use recording::{
     Command, Dispatch, Grid, MAX_WORKGROUPS, Recording, Role, Stage, Storage, TensorInfo,
 };
+use recording::{all_texels, texels};
 
 /// What kernels ask of an adapter.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -84,6 +87,8 @@ pub struct Work<'a> {
     pub outputs: &'a [TensorSpec],
     /// Pictures at a time.
     pub batch: u32,
+    /// How maps that are not planar, and weights in textures, are stored.
+    pub precision: Precision,
     /// The adapter.
     pub caps: &'a Caps,
 }
@@ -102,7 +107,7 @@ impl<'a> Work<'a> {
 
     /// Whether a map of this shape can lie as [`Layout::Quads`] and [`Layout::Texture`].
     pub fn has_quads(&self, spec: &TensorSpec) -> bool {
-        Quads::of(spec, self.batch, self.caps).is_some()
+        Quads::of(spec, self.precision, self.batch, self.caps).is_some()
     }
 }
 
@@ -152,8 +157,8 @@ pub trait Kernel: Debug + Sync {
         outputs: &[TensorId],
     ) -> Result<()>;
 
-    /// How far its outputs may be from the reference's, where it orders its sums otherwise than
-    /// [`Op::tolerance`] says.
+    /// How far its outputs may be from the reference's before they are stored, where it orders its sums
+    /// otherwise than [`Op::tolerance`] says, or stores weights in `precision`.
     ///
     /// # Errors
     /// As the operation's reference.
@@ -162,9 +167,35 @@ pub trait Kernel: Debug + Sync {
         _op: &dyn Op,
         _inputs: &[&Value],
         _reference: &[Value],
+        _precision: Precision,
     ) -> Result<Option<Vec<Tolerance>>> {
         Ok(None)
     }
+}
+
+/// How far what `kernel` gives may be from the reference's, where maps and weights are stored in
+/// `precision`, and each output in one of its own: the kernel's bound, or the operation's, and what
+/// storing adds to it.
+///
+/// # Errors
+/// As the operation's reference.
+pub(crate) fn bounds(
+    kernel: Option<&dyn Kernel>,
+    op: &dyn Op,
+    (inputs, reference): (&[&Value], &[Value]),
+    precision: Precision,
+    written: &[Precision],
+) -> Result<Vec<Tolerance>> {
+    let own = match kernel {
+        Some(kernel) => kernel.tolerance(op, inputs, reference, precision)?,
+        None => None,
+    };
+    let bounds = match own {
+        Some(own) => own,
+        None => op.tolerance(inputs, reference)?,
+    };
+    let outputs = bounds.into_iter().zip(reference).zip(written);
+    Ok(outputs.map(|((bound, value), written)| bound.stored(value, *written)).collect())
 }
 
 /// The kernels of each operation, the preferred first. The last fits everything that its operation

@@ -3,6 +3,7 @@
 use crate::error::{Error, Result};
 use crate::graph::TensorId;
 use crate::kernels::{Caps, Layout, Quads};
+use crate::precision::Precision;
 use crate::shader::{Shader, Variant};
 use crate::shape::{Extent, TensorSpec};
 use crate::tensor::Constant;
@@ -31,12 +32,14 @@ pub enum Storage {
         /// Its size.
         bytes: u64,
     },
-    /// A texture of rgba32float.
+    /// A texture of four channels.
     Texture {
         /// Texels of a row.
         width: u32,
         /// Rows.
         height: u32,
+        /// Its format: rgba32float or rgba16float.
+        precision: Precision,
     },
 }
 
@@ -45,7 +48,9 @@ impl Storage {
     pub fn bytes(&self) -> u64 {
         match *self {
             Self::Buffer { bytes } => bytes,
-            Self::Texture { width, height } => u64::from(width) * u64::from(height) * 16,
+            Self::Texture { width, height, precision } => {
+                u64::from(width) * u64::from(height) * u64::from(precision.texel_bytes())
+            }
         }
     }
 }
@@ -61,6 +66,8 @@ pub struct TensorInfo {
     pub role: Role,
     /// How they lie.
     pub layout: Layout,
+    /// How each is stored; [`Layout::Planar`] knows f32 alone.
+    pub precision: Precision,
     /// What holds all pictures.
     pub storage: Storage,
     /// Bytes from one picture to the next in a buffer.
@@ -218,6 +225,7 @@ impl Recording {
             spec,
             role,
             layout: Layout::Planar,
+            precision: Precision::F32,
             storage,
             stride,
         })
@@ -228,7 +236,7 @@ impl Recording {
         TensorId(self.tensors.len() - 1)
     }
 
-    /// Adds a computed map in a layout.
+    /// Adds a computed map in a layout; `precision` counts where that is not planar.
     ///
     /// # Errors
     /// [`Error::Tensor`] if what has this shape cannot lie so on the adapter.
@@ -237,22 +245,25 @@ impl Recording {
         name: impl Into<String>,
         spec: TensorSpec,
         layout: Layout,
+        precision: Precision,
     ) -> Result<TensorId> {
         let name = name.into();
         if layout == Layout::Planar {
             return Ok(self.tensor(name, spec, Role::Transient));
         }
-        let quads = Quads::of(&spec, self.batch, &self.caps);
+        let quads = Quads::of(&spec, precision, self.batch, &self.caps);
         let quads =
             quads.ok_or_else(|| Error::tensor("layout", &name, "a map [C, H, W]", &spec))?;
+        let stride = quads.texels() * u64::from(precision.texel_bytes());
         let storage = match layout {
             Layout::Texture => {
-                Storage::Texture { width: quads.texture_width(), height: quads.rows * self.batch }
+                let (width, height) = (quads.texture_width(), quads.rows * self.batch);
+                Storage::Texture { width, height, precision }
             }
-            _ => Storage::Buffer { bytes: quads.bytes() * u64::from(self.batch) },
+            _ => Storage::Buffer { bytes: stride * u64::from(self.batch) },
         };
-        let (role, stride) = (Role::Transient, quads.bytes());
-        Ok(self.push(TensorInfo { name, spec, role, layout, storage, stride }))
+        let role = Role::Transient;
+        Ok(self.push(TensorInfo { name, spec, role, layout, precision, storage, stride }))
     }
 
     /// Where the channels of a map lie.
@@ -261,7 +272,7 @@ impl Recording {
     /// As [`Recording::map`].
     pub fn quads(&self, id: TensorId) -> Result<Quads> {
         let info = self.info(id);
-        let quads = Quads::of(&info.spec, self.batch, &self.caps);
+        let quads = Quads::of(&info.spec, info.precision, self.batch, &self.caps);
         quads.ok_or_else(|| Error::tensor("layout", &info.name, "a map [C, H, W]", &info.spec))
     }
 
@@ -285,16 +296,22 @@ impl Recording {
     }
 
     /// Adds texels `[height, width, 4]` known when recording.
-    pub fn constant_texture(&mut self, name: impl Into<String>, texels: Constant) -> TensorId {
+    pub fn constant_texture(
+        &mut self,
+        name: impl Into<String>,
+        texels: Constant,
+        precision: Precision,
+    ) -> TensorId {
         let spec = texels.spec().clone();
         let side = |i: usize| spec.shape.0.get(i).map_or(1, |d| *d as u32);
-        let storage = Storage::Texture { width: side(1), height: side(0) };
+        let storage = Storage::Texture { width: side(1), height: side(0), precision };
         let role = Role::Constant(texels);
         self.push(TensorInfo {
             name: name.into(),
             spec,
             role,
             layout: Layout::Texture,
+            precision,
             storage,
             stride: 0,
         })
@@ -343,6 +360,11 @@ impl Recording {
         &self.tensors[id.0]
     }
 
+    /// The variant of a shader with `wgsl/shared/texels.wgsl` that reads `read` and writes `written`.
+    pub fn texels(&self, variant: Variant, read: TensorId, written: TensorId) -> Variant {
+        texels(variant, self.info(read).precision, self.info(written).precision)
+    }
+
     /// Shape of a tensor as a slice.
     pub fn dims(&self, id: TensorId) -> &[usize] {
         &self.tensors[id.0].spec.shape.0
@@ -379,6 +401,18 @@ impl Recording {
     pub fn stages(&self) -> &[Stage] {
         &self.stages
     }
+}
+
+/// The variant of a shader with `wgsl/shared/texels.wgsl` for maps that are stored so.
+pub(super) fn texels(variant: Variant, read: Precision, written: Precision) -> Variant {
+    variant.with("HALF", read.is_half()).with("HALF_OUTPUT", written.is_half())
+}
+
+/// All of those.
+pub(super) fn all_texels(variant: &Variant) -> [Variant; 4] {
+    use Precision::{F16, F32};
+    [(F32, F32), (F32, F16), (F16, F32), (F16, F16)]
+        .map(|(read, written)| texels(variant.clone(), read, written))
 }
 
 #[cfg(test)]

@@ -42,13 +42,14 @@ impl Choice {
         })
     }
 
-    /// An operation with its parameters and shapes.
+    /// An operation with its parameters and shapes, and the precision where that is not f32.
     pub fn key(work: &Work) -> String {
         let settings = work.op.settings();
         let settings = settings.iter().map(|(name, value)| format!("{name}={value}"));
         let shapes = work.inputs.iter().map(ToString::to_string);
         let words = settings.chain(shapes).collect::<Vec<_>>().join(" ");
-        format!("{} {words} x{}", work.op.name(), work.batch)
+        let precision = if work.precision.is_half() { " f16" } else { "" };
+        format!("{} {words} x{}{precision}", work.op.name(), work.batch)
     }
 
     /// The kernel for `work`.

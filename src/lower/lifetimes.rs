@@ -28,8 +28,12 @@ fn union(a: Storage, b: Storage) -> Option<Storage> {
         (Storage::Buffer { bytes: a }, Storage::Buffer { bytes: b }) => {
             Some(Storage::Buffer { bytes: a.max(b) })
         }
-        (Storage::Texture { width, height }, Storage::Texture { width: w, height: h }) => {
-            Some(Storage::Texture { width: width.max(w), height: height.max(h) })
+        (
+            Storage::Texture { width, height, precision },
+            Storage::Texture { width: w, height: h, precision: p },
+        ) if precision == p => {
+            let (width, height) = (width.max(w), height.max(h));
+            Some(Storage::Texture { width, height, precision })
         }
         _ => None,
     }

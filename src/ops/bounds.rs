@@ -16,6 +16,9 @@ use crate::error::Result;
 use crate::ops::op::EPS;
 use crate::tensor::{Tensor, Value};
 
+/// Magnitudes from which on some order of a sum may overflow f32: its end, less what roundings add.
+const OVERFLOW: f64 = 0.99 * f32::MAX as f64;
+
 /// The order in which a kernel adds up products.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SumOrder {
@@ -75,8 +78,11 @@ impl SumOrder {
 
     /// Bound for the sum, where `magnitude` is the sum of the absolute values of all terms. One
     /// rounding is the reference's own, one that of `magnitude`. The rest is for drivers that flush
-    /// subnormal numbers to zero, at any operation.
+    /// subnormal numbers to zero, at any operation. Infinite where a part of the sum may overflow f32.
     pub fn error(&self, magnitude: f64) -> f64 {
+        if magnitude > OVERFLOW {
+            return f64::INFINITY;
+        }
         let operations = 2 * self.terms * self.parts + self.more + 1;
         gamma(self.roundings() + 2) * magnitude + operations as f64 * f64::from(f32::MIN_POSITIVE)
     }
@@ -100,6 +106,12 @@ pub fn sum_error(roundings: usize, magnitude: f64) -> f64 {
 /// division 2.5 ULP, which is 5 EPS; the sum in the denominator and the rounding add 2.
 pub fn sigmoid_error(logit_error: f64) -> f64 {
     logit_error / 4.0 + 10.0 * EPS
+}
+
+/// What weights that are off by their bounds make of a sum, which come to `moved`.
+pub fn moved_sum(moved: f64) -> f64 {
+    // With room for the roundings of the sum itself, which are a thousand times smaller.
+    1.001 * moved
 }
 
 /// The absolute values of a tensor, to compute magnitudes with the operation's own reference.

@@ -62,7 +62,7 @@ impl Case {
 }
 
 /// What a check measured.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Report {
     /// Largest absolute error of the shader against the reference.
     pub max_error: f64,
@@ -70,6 +70,19 @@ pub struct Report {
     pub max_share: f64,
     /// What failed, in words; empty in a case that passes.
     pub failures: Vec<String>,
+    /// Where a device's numbers overflowed within their bound, which is infinite there, and the
+    /// reference, whose sums are in f64, hides it, in words.
+    pub overflows: Vec<String>,
+}
+
+impl Report {
+    /// Takes in another.
+    pub(crate) fn add(&mut self, other: Self) {
+        self.max_error = self.max_error.max(other.max_error);
+        self.max_share = self.max_share.max(other.max_share);
+        self.failures.extend(other.failures);
+        self.overflows.extend(other.overflows);
+    }
 }
 
 /// A case with what must come of it, to check several devices or shaders.
@@ -105,12 +118,13 @@ impl<'a> Expected<'a> {
     /// Holds `outputs` to the reference, within `bounds` of their own where there are some; where there
     /// are outputs by hand, to those too.
     pub fn judge(&self, outputs: &[Value], bounds: Option<Vec<Tolerance>>) -> Report {
-        let bounds = bounds.as_ref().filter(|_| !self.case.exact).unwrap_or(&self.bounds);
-        let mut report = Report { max_error: 0.0, max_share: 0.0, failures: Vec::new() };
+        let bounds = bounds.as_ref().unwrap_or(&self.bounds);
+        let mut report = Report::default();
         for (i, name) in self.case.op.outputs().into_iter().enumerate() {
             let what = format!("{} / {} / {name}", self.case.op.name(), self.case.name);
             let (n, bound, got) = (self.defined[i], &bounds[i], &outputs[i]);
             compare(&what, "kernel", got, &self.reference[i], bound, n, &mut report);
+            report.overflows.extend(hidden(&what, got, &self.reference[i], n));
             if let Some(hand) = &self.case.by_hand {
                 compare(&what, "kernel by hand", got, &hand[i], bound, n, &mut report);
             }
@@ -122,6 +136,19 @@ impl<'a> Expected<'a> {
 /// Inputs that are known when a network is built; the others change with each picture.
 pub(crate) const WEIGHTS: [&str; 6] =
     ["weight", "bias", "fc1_weight", "fc1_bias", "fc2_weight", "fc2_bias"];
+
+/// Says where a device's number is not finite and the reference's is.
+fn hidden(what: &str, got: &Value, want: &Value, defined: usize) -> Option<String> {
+    let (Value::F32(got), Value::F32(want)) = (got, want) else { return None };
+    let pairs = got.data().iter().zip(want.data()).take(defined).enumerate();
+    let mut lost = pairs.filter(|(_, (got, want))| !got.is_finite() && want.is_finite());
+    let (first, (got, want)) = lost.next()?;
+    let count = lost.count() + 1;
+    Some(format!(
+        "{what}: {count} of {defined} overflow, which f64 hides; element {first}: {got:e} instead of \
+         {want:e}"
+    ))
+}
 
 fn compare(
     what: &str,
@@ -291,7 +318,7 @@ mod tests {
     /// Without a device: each reference runs on each case and meets the outputs by hand.
     #[test]
     fn references_meet_the_outputs_by_hand() {
-        let mut report = Report { max_error: 0.0, max_share: 0.0, failures: Vec::new() };
+        let mut report = Report::default();
         let mut compared = 0;
         for case in OPS.iter().flat_map(|entry| (entry.cases)()) {
             let expected = Expected::of(&case).expect("a reference");
@@ -336,7 +363,7 @@ mod tests {
     fn a_nan_is_only_equal_to_a_nan() {
         let (nan, two) = (values([2], &[f32::NAN, 1.0]), values([2], &[2.0, 1.0]));
         let failures = |got: &Value, want: &Value, bound: Tolerance| {
-            let mut report = Report { max_error: 0.0, max_share: 0.0, failures: Vec::new() };
+            let mut report = Report::default();
             compare("case", "kernel", got, want, &bound, 2, &mut report);
             report.failures.len()
         };

@@ -2,10 +2,11 @@
 
 use crate::cpu::{self, ConvShape};
 use crate::error::{Error, Result};
-use crate::ops::bounds::{Joined, SumOrder, magnitude};
+use crate::ops::bounds::{Joined, SumOrder, magnitude, moved_sum};
 use crate::ops::case::{Case, exact_dot, one_way, one_way_sum, random, stiff_dot};
 use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
+use crate::precision::{Precision, weight_errors};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -72,15 +73,25 @@ impl Conv2d {
     }
 
     /// How far each output may be from the reference's, of a kernel that sums in this order.
-    pub(crate) fn summed(&self, inputs: &[&Value], order: SumOrder) -> Result<Vec<Tolerance>> {
+    pub(crate) fn summed(
+        &self,
+        inputs: &[&Value],
+        order: SumOrder,
+        precision: Precision,
+    ) -> Result<Vec<Tolerance>> {
         let (input, weight, bias, residual) = self.split(inputs);
         let bias = bias.map(|v| magnitude(v)).transpose()?;
         let residual = residual.map(|v| magnitude(v)).transpose()?;
+        let half = precision.is_half().then(|| weight.f32().map(weight_errors)).transpose()?;
         let (input, weight) = (magnitude(input)?, magnitude(weight)?);
         let sums =
             cpu::conv2d(&input, &weight, bias.as_ref(), residual.as_ref(), self.shape(), false);
-        let each = sums.data().iter().map(|s| order.error(f64::from(*s)));
-        Ok(vec![Tolerance::Each(each.collect())])
+        let mut each: Vec<f64> = sums.data().iter().map(|s| order.error(f64::from(*s))).collect();
+        if let Some(rounded) = half {
+            let moved = cpu::conv2d(&input, &rounded, None, None, self.shape(), false);
+            each.iter_mut().zip(moved.data()).for_each(|(e, m)| *e += moved_sum(f64::from(*m)));
+        }
+        Ok(vec![Tolerance::Each(each)])
     }
 }
 
@@ -145,7 +156,8 @@ impl Op for Conv2d {
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
         let weight = self.split(inputs).1.spec();
         let [_, terms, kh, kw] = [0, 1, 2, 3].map(|i| weight.shape.0[i]);
-        self.summed(inputs, SumOrder { terms, parts: kh * kw, joined: Joined::InOrder, more: 2 })
+        let order = SumOrder { terms, parts: kh * kw, joined: Joined::InOrder, more: 2 };
+        self.summed(inputs, order, Precision::F32)
     }
 
     fn unbiased(&self) -> bool {
@@ -473,6 +485,11 @@ fn stiff() -> Vec<Case> {
         Case::new("zeros by hand", padded, vec![map(0, 0.0), kernel()])
             .by_hand(vec![Tensor::<f32>::zeros([out_c, 8, 8]).into()]),
     );
+    // Four times 3e38 less three times that.
+    let near_end = Tensor::from_fn([8, 2, 3], |i| if i < 24 { 3e38 } else { -3e38 });
+    let weight = Tensor::from_fn([4, 8, 1, 1], |i| if i % 8 < 7 { 1.0 } else { 0.0 });
+    let inputs = vec![near_end.into(), weight.into()];
+    cases.push(Case::new("an overflow on the way, which f64 hides", plain, inputs));
     let mut small = random(341, [in_c, 8, 8]);
     small.data_mut().iter_mut().for_each(|x| *x *= 1e-39);
     cases.push(Case::new("subnormal inputs", padded, vec![small.into(), kernel()]));

@@ -209,6 +209,11 @@ fn cases() -> Vec<Case> {
         let name = format!("dot products of condition {condition:e}, exact");
         cases.push(Case::new(name, plain, inputs).by_hand(vec![dots.into()]));
     }
+    // Four times 3e38 less three times that.
+    let near_end = Tensor::from_fn([2, 8], |i| if i % 8 < 4 { 3e38 } else { -3e38 });
+    let weight = Tensor::from_fn([3, 8], |i| if i % 8 < 7 { 1.0 } else { 0.0 });
+    let inputs = vec![near_end.into(), weight.into(), values([3], &[0.0; 3])];
+    cases.push(Case::new("an overflow on the way, which f64 hides", plain, inputs));
     let layers = [
         (vec![100, 256, 7, 7], 512, true),
         (vec![100, 512], 512, true),

@@ -6,6 +6,7 @@ use std::fmt::Debug;
 use crate::error::{Error, Result};
 use crate::ops::case::Case;
 use crate::ops::params::{Param, Params, Settings};
+use crate::precision::Precision;
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
 
@@ -137,8 +138,24 @@ impl Tolerance {
         }
     }
 
+    /// The bound of what is stored in `precision`, for a `reference` that is not. Where bits count, they
+    /// are those of the reference rounded to the nearest.
+    pub(crate) fn stored(self, reference: &Value, precision: Precision) -> Self {
+        let Value::F32(reference) = reference else { return self };
+        if precision == Precision::F32 {
+            return self;
+        }
+        let rounded = precision.decode(&precision.encode(reference.data()));
+        let limits = reference.data().iter().zip(rounded).enumerate();
+        let limits = limits.map(|(i, (x, rounded))| match (f64::from(*x), &self) {
+            (x, Self::Exact) => (f64::from(rounded) - x).abs(),
+            (x, own) => precision.stored_error(x, own.limit(i)),
+        });
+        Self::Each(limits.collect())
+    }
+
     /// The error of element `i` and the most that it may be; an error that is not a number is above
-    /// every bound.
+    /// every bound, but for one that is infinite of a finite reference.
     pub fn judge(&self, got: &Value, want: &Value, i: usize) -> (f64, f64) {
         let limit = self.limit(i);
         match (got, want) {
@@ -151,6 +168,8 @@ impl Tolerance {
                     // −0 is not 0 where bits count.
                     false if *self == Self::Exact => f64::INFINITY,
                     false if got == want || both_nan => 0.0,
+                    // What overflows on its way to a sum may end as infinity less infinity.
+                    false if got.is_nan() && want.is_finite() && limit == f64::INFINITY => limit,
                     false => (f64::from(got) - f64::from(want)).abs(),
                 };
                 (error, if both_nan { 0.0 } else { limit })

@@ -70,11 +70,24 @@ pub(crate) fn error_bound(
     residual: Option<&Tensor>,
     order: SumOrder,
 ) -> Vec<f64> {
+    let around = SumOrder { more: 2 * 4 + 1 + 2 * 6 + 2, ..order };
+    let mut errors = magnitudes(input, out_c, weight, bias, residual);
+    errors.iter_mut().for_each(|error| *error = around.error(*error));
+    errors
+}
+
+/// What the algorithm gives for absolute values of everything, constants too.
+pub(crate) fn magnitudes(
+    input: &Tensor,
+    out_c: usize,
+    weight: impl Fn(usize, usize, usize) -> f32,
+    bias: Option<&Tensor>,
+    residual: Option<&Tensor>,
+) -> Vec<f64> {
     // Padded by one, the output is as large as the input.
     let [in_c, height, width] = [0, 1, 2].map(|i| input.dims()[i]);
     let (tile_rows, tile_columns) = (height.div_ceil(OUT), width.div_ceil(OUT));
-    let around = SumOrder { more: 2 * 4 + 1 + 2 * 6 + 2, ..order };
-    let mut errors = vec![0.0; out_c * height * width];
+    let mut sums = vec![0.0; out_c * height * width];
     for tile in 0..tile_rows * tile_columns {
         let (top, left) = (tile / tile_columns * OUT, tile % tile_columns * OUT);
         let mut products = vec![0.0; POINTS * out_c];
@@ -104,11 +117,11 @@ pub(crate) fn error_bound(
                         let at = (o * height + top + y) * width + left + x;
                         let added = bias.map_or(0.0, |b| b.data()[o])
                             + residual.map_or(0.0, |r| r.data()[at]);
-                        errors[at] = around.error(sum + f64::from(added));
+                        sums[at] = sum + f64::from(added);
                     }
                 }
             }
         }
     }
-    errors
+    sums
 }

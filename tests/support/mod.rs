@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, OnceLock};
 
+use smr_gpu::Precision;
 use smr_gpu::check::{Selection, Target, rows};
 use smr_gpu::gpu::{Gpu, GpuOptions};
 use smr_gpu::graph::Graph;
@@ -49,7 +50,11 @@ pub fn record(op: impl Op + 'static, inputs: &[TensorSpec]) -> smr_gpu::Result<(
     let outputs = graph.apply("op", op, &ids).expect("inputs that fit");
     outputs.iter().for_each(|id| graph.mark_output(*id));
     let (caps, choice) = (Caps::default(), Choice::default());
-    lower(&graph, &Request { keep: &[], batch: 1, caps: &caps, choice: &choice }).map(|_| ())
+    lower(
+        &graph,
+        &Request { keep: &[], batch: 1, precision: Precision::F32, caps: &caps, choice: &choice },
+    )
+    .map(|_| ())
 }
 
 /// What an operation says when it is recorded with inputs past its shader's capacity.

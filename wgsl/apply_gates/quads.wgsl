@@ -4,6 +4,7 @@
 // The channels are a multiple of four.
 
 // include: quads
+// include: texels
 
 struct Params {
     map: Quads,
@@ -14,10 +15,10 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> input: array<vec4<f32>>;
+@group(0) @binding(1) var<storage, read> input: array<Texel>;
 @group(0) @binding(2) var<storage, read> channel_gate: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> spatial_gate: array<f32>;
-@group(0) @binding(4) var<storage, read_write> output: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> output: array<OutputTexel>;
 
 @compute @workgroup_size(8, 8)
 fn main(
@@ -34,6 +35,7 @@ fn main(
     let row = texel_index(map, texel(map, workgroup.z, quad, y, 0u));
     let gate_row = workgroup.z * params.spatial_gate_stride + y * map.width;
     for (var x = local.x; x < map.width; x += 8u) {
-        output[row + x] = input[row + x] * by_channel * spatial_gate[gate_row + x];
+        let value = loaded(input[row + x]);
+        output[row + x] = stored(value * by_channel * spatial_gate[gate_row + x]);
     }
 }

@@ -5,6 +5,7 @@
 // up the eight of a channel. `finish` brings the chunks together where there are several.
 
 // include: quads
+// include: texels
 
 struct Params {
     map: Quads,
@@ -24,7 +25,7 @@ struct Params {
 const LOWEST: f32 = -0x1.fffffep+127f;
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> input: array<vec4<f32>>;
+@group(0) @binding(1) var<storage, read> input: array<Texel>;
 // [chunks][2][C]
 @group(0) @binding(2) var<storage, read_write> partials: array<f32>;
 @group(0) @binding(3) var<storage, read> partials_in: array<f32>;
@@ -50,7 +51,7 @@ fn main(
     for (var y = first; y < end; y++) {
         var row_sum = vec4(0.0);
         for (var x = local.x; x < map.width; x += 8u) {
-            let value = input[row + x];
+            let value = loaded(input[row + x]);
             row_sum += value;
             largest = max(largest, value);
         }

@@ -13,6 +13,7 @@
 // the kernel has any size; with THREE, the input has at most three channels.
 
 // include: quads
+// include: texels
 // include: products
 // include: relu
 
@@ -43,14 +44,20 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var input: texture_storage_2d<rgba32float, read>;
+@group(0) @binding(1) var input: TexelTexture;
 // A texel is one output's weights of four input channels, zero in the padding. Texels lie as they are
 // read: by tile, quad of inputs, row of the kernel, tap, output of the tile.
+#if HALF_WEIGHT
+@group(0) @binding(2) var weight: texture_storage_2d<rgba16float, read>;
+// What each output's sum is to be multiplied with: a power of two. Of whole tiles.
+@group(0) @binding(6) var<storage, read> scale: array<vec4<f32>>;
+#else
 @group(0) @binding(2) var weight: texture_storage_2d<rgba32float, read>;
+#endif
 // Of whole tiles.
 @group(0) @binding(3) var<storage, read> bias: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read> residual: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read_write> output: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> residual: array<Texel>;
+@group(0) @binding(5) var<storage, read_write> output: array<OutputTexel>;
 
 // Columns of inputs that the pixels and taps of a strip have between them.
 const SPAN: u32 = (PIXELS - 1u) * SPREAD + (TAPS - 1u) * DILATION + 1u;
@@ -322,14 +329,18 @@ fn main(
         for (var j = 0u; j < PIXELS + none; j++) {
             if (index <= last) & (out_x + j < params.output.width) & exists.x {
                 let at = first_at + j;
+#if HALF_WEIGHT
+                var value = sums[i * PIXELS + j] * scale[out_quad] + bias[out_quad];
+#else
                 var value = sums[i * PIXELS + j] + bias[out_quad];
+#endif
                 if params.has_residual != 0u {
-                    value += residual[at];
+                    value += loaded(residual[at]);
                 }
                 if params.relu != 0u {
                     value = relu(value);
                 }
-                output[at] = select(vec4<f32>(), value, exists);
+                output[at] = stored(select(vec4<f32>(), value, exists));
             }
         }
         out_quad += 1u;

@@ -1,6 +1,7 @@
 // The parts of a convolution's sums, bias, optional residual and ReLU.
 
 // include: quads
+// include: texels
 // include: relu
 // include: index
 
@@ -16,8 +17,8 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> parts: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> bias: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read> residual: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read_write> output: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> residual: array<Texel>;
+@group(0) @binding(4) var<storage, read_write> output: array<OutputTexel>;
 
 @compute @workgroup_size(64)
 fn main(
@@ -39,11 +40,11 @@ fn main(
     }
     let at = texel_index(map, texel(map, picture, quad, y, x));
     if params.has_residual != 0u {
-        value += residual[at];
+        value += loaded(residual[at]);
     }
     if params.relu != 0u {
         value = relu(value);
     }
     let channel = quad * 4u + vec4<u32>(0u, 1u, 2u, 3u);
-    output[at] = select(vec4<f32>(), value, channel < vec4<u32>(map.channels));
+    output[at] = stored(select(vec4<f32>(), value, channel < vec4<u32>(map.channels)));
 }

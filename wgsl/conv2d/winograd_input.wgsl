@@ -6,6 +6,7 @@
 // One invocation transforms four channels of a tile: Bᵀ d B, columns, then rows.
 
 // include: quads
+// include: texels
 
 struct Params {
     input: Quads,
@@ -18,7 +19,7 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var input: texture_storage_2d<rgba32float, read>;
+@group(0) @binding(1) var input: TexelTexture;
 @group(0) @binding(2) var<storage, read_write> points: array<vec4<f32>>;
 
 const WORKGROUP: u32 = 16u;

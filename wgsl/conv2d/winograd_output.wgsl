@@ -4,6 +4,7 @@
 // One invocation transforms four channels of a tile: Aᵀ m A, columns, then rows.
 
 // include: quads
+// include: texels
 // include: relu
 
 struct Params {
@@ -19,8 +20,8 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> points: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> bias: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read> residual: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read_write> output: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> residual: array<Texel>;
+@group(0) @binding(4) var<storage, read_write> output: array<OutputTexel>;
 
 const WORKGROUP: u32 = 16u;
 
@@ -77,12 +78,12 @@ fn main(
             let at = corner + y * map.columns * map.pitch + x;
             var value = points_of[y * 6u + x][local] + bias[quad];
             if params.has_residual != 0u {
-                value += residual[at];
+                value += loaded(residual[at]);
             }
             if params.relu != 0u {
                 value = relu(value);
             }
-            output[at] = value;
+            output[at] = stored(value);
         }
     }
 }

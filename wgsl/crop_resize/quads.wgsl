@@ -13,6 +13,7 @@
 // workgroup is 8 x 8 such columns.
 
 // include: quads
+// include: texels
 
 struct Params {
     map: Quads,
@@ -36,7 +37,7 @@ struct Params {
 // Picture width and height; the part's x, y, columns and rows; the resized width and height; x and y
 // of the window.
 @group(0) @binding(2) var<storage, read> crop: array<u32>;
-@group(0) @binding(3) var<storage, read_write> output: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read_write> output: array<OutputTexel>;
 
 // An axis of the part: its pixels, the pixels it is resized to, and where the window begins.
 struct Axis {
@@ -94,7 +95,7 @@ fn store(at: vec2<u32>, y: u32, value: vec3<f32>) {
     }
     let rest = vec3(params.rest_r, params.rest_g, params.rest_b);
     let deviation = vec3(params.std_r, params.std_g, params.std_b);
-    output[texel_index(params.map, at)] = vec4((value - rest) / deviation, 0.0);
+    output[texel_index(params.map, at)] = stored(vec4((value - rest) / deviation, 0.0));
 }
 
 @compute @workgroup_size(8, 8)

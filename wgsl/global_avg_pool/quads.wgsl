@@ -4,6 +4,7 @@
 // then the rows, so that no sum is long; then one invocation adds up the eight of a channel.
 
 // include: quads
+// include: texels
 
 struct Params {
     map: Quads,
@@ -15,7 +16,7 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> input: array<vec4<f32>>;
+@group(0) @binding(1) var<storage, read> input: array<Texel>;
 @group(0) @binding(2) var<storage, read_write> output: array<f32>;
 
 var<workgroup> sums: array<vec4<f32>, 64>;
@@ -35,7 +36,7 @@ fn main(
     for (var y = 0u; y < height; y++) {
         var row_sum = vec4(0.0);
         for (var x = local.x; x < map.width; x += 8u) {
-            row_sum += input[row + x];
+            row_sum += loaded(input[row + x]);
         }
         sum += row_sum;
         row += row_texels;

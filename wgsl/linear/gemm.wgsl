@@ -33,7 +33,13 @@ struct Params {
 #endif
 // A texel is one output's weights of four inputs, zero in the padding. Texels lie as they are read: by
 // tile of 4 * LANES outputs, quad of inputs, output of the tile.
+#if HALF_WEIGHT
+@group(0) @binding(3) var weight: texture_storage_2d<rgba16float, read>;
+// What each output's sum is to be multiplied with: a power of two.
+@group(0) @binding(7) var<storage, read> scale: array<f32>;
+#else
 @group(0) @binding(3) var weight: texture_storage_2d<rgba32float, read>;
+#endif
 // [slices][rows][outputs of whole tiles]
 @group(0) @binding(4) var<storage, read_write> partials: array<f32>;
 // Of whole tiles.
@@ -164,7 +170,11 @@ fn finish(
     var at = row * row_width + column;
     var sum = bias[column];
     for (var slice = 0u; slice < params.slices; slice++) {
+#if HALF_WEIGHT
+        sum += partials[at] * scale[column];
+#else
         sum += partials[at];
+#endif
         at += params.rows * row_width;
     }
     if params.relu != 0u {

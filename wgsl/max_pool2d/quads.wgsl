@@ -5,6 +5,7 @@
 // A workgroup is eight rows of two quads; an invocation goes along its row in steps of eight pixels.
 
 // include: quads
+// include: texels
 
 struct Params {
     input: Quads,
@@ -18,8 +19,8 @@ struct Params {
 const LOWEST: f32 = -0x1.fffffep+127f;
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> input: array<vec4<f32>>;
-@group(0) @binding(2) var<storage, read_write> output: array<vec4<f32>>;
+@group(0) @binding(1) var<storage, read> input: array<Texel>;
+@group(0) @binding(2) var<storage, read_write> output: array<OutputTexel>;
 
 // The pixels start..end of an axis of `length` pixels that window `i` sees.
 fn window(i: u32, length: u32) -> vec2<u32> {
@@ -65,14 +66,14 @@ fn main(
         var row = first;
         for (var iy = rows.x; iy < rows.y; iy++) {
             for (var ix = columns.x; ix < columns.y; ix++) {
-                let value0 = input[row.x + ix];
-                let value1 = input[row.y + ix];
+                let value0 = loaded(input[row.x + ix]);
+                let value1 = loaded(input[row.y + ix]);
                 largest0 = select(largest0, value0, (value0 > largest0) | is_nan(value0));
                 largest1 = select(largest1, value1, (value1 > largest1) | is_nan(value1));
             }
             row += row_texels;
         }
-        output[out_row.x + x] = largest0;
-        output[out_row.y + x] = largest1;
+        output[out_row.x + x] = stored(largest0);
+        output[out_row.y + x] = stored(largest1);
     }
 }

@@ -3,6 +3,7 @@
 // One invocation computes one bin of sixteen channels, which share their sampling points.
 
 // include: quads
+// include: texels
 
 struct Params {
     map: Quads,
@@ -18,7 +19,7 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var features: texture_storage_2d<rgba32float, read>;
+@group(0) @binding(1) var features: TexelTexture;
 @group(0) @binding(2) var<storage, read> boxes: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> count: array<u32>;
 @group(0) @binding(4) var<storage, read_write> output: array<f32>;

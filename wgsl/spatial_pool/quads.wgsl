@@ -6,6 +6,7 @@
 // rows or something between. The channels are a multiple of four.
 
 // include: quads
+// include: texels
 
 struct Params {
     map: Quads,
@@ -20,7 +21,7 @@ struct Params {
 const LOWEST: f32 = -0x1.fffffep+127f;
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> input: array<vec4<f32>>;
+@group(0) @binding(1) var<storage, read> input: array<Texel>;
 @group(0) @binding(2) var<storage, read> channel_gate: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read_write> output: array<f32>;
 
@@ -61,8 +62,8 @@ fn main(
         let gate = channel_gate[gates + q];
         // The far pixel may lie between the width and the pitch; nobody stores it then.
         let index = texel_index(map, at);
-        let near = input[index] * gate;
-        let far = input[index + 8u] * gate;
+        let near = loaded(input[index]) * gate;
+        let far = loaded(input[index + 8u]) * gate;
         near_sum += near;
         near_largest = max(near_largest, near);
         far_sum += far;

@@ -6,6 +6,7 @@
 // quads, which share where they lie.
 
 // include: quads
+// include: texels
 
 struct Params {
     input: Quads,
@@ -18,8 +19,8 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> input: array<vec4<f32>>;
-@group(0) @binding(2) var<storage, read_write> output: array<vec4<f32>>;
+@group(0) @binding(1) var<storage, read> input: array<Texel>;
+@group(0) @binding(2) var<storage, read_write> output: array<OutputTexel>;
 
 // The two pixels that one output lies between, along one axis, and its distance from the first.
 struct Between {
@@ -57,9 +58,10 @@ fn main(
     for (var q = first; q < min(first + params.block, source.quads); q++) {
         let top = texel_index(source, at);
         let bottom = top + below;
-        let near = (1.0 - y.part) * input[top] + y.part * input[bottom];
-        let far = (1.0 - y.part) * input[top + right] + y.part * input[bottom + right];
-        output[texel_index(target_map, to)] = (1.0 - x.part) * near + x.part * far;
+        let near = (1.0 - y.part) * loaded(input[top]) + y.part * loaded(input[bottom]);
+        let far = (1.0 - y.part) * loaded(input[top + right]) + y.part * loaded(input[bottom + right]);
+        output[texel_index(target_map, to)] =
+            stored((1.0 - x.part) * near + x.part * far);
         at = next_quad(source, at);
         to = next_quad(target_map, to);
     }

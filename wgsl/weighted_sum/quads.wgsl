@@ -1,6 +1,8 @@
 // The sum of up to five maps, each times its weight, on maps with four channels a texel. All lie
 // alike, so that nobody need know where a pixel is.
 
+// include: texels
+
 struct Params {
     // Texels of a picture.
     texels: u32,
@@ -12,19 +14,19 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> weights: array<f32>;
-@group(0) @binding(2) var<storage, read_write> output: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read> map0: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read_write> output: array<OutputTexel>;
+@group(0) @binding(3) var<storage, read> map0: array<Texel>;
 #if MAP1
-@group(0) @binding(4) var<storage, read> map1: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> map1: array<Texel>;
 #endif
 #if MAP2
-@group(0) @binding(5) var<storage, read> map2: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> map2: array<Texel>;
 #endif
 #if MAP3
-@group(0) @binding(6) var<storage, read> map3: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> map3: array<Texel>;
 #endif
 #if MAP4
-@group(0) @binding(7) var<storage, read> map4: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read> map4: array<Texel>;
 #endif
 
 @compute @workgroup_size(64)
@@ -36,19 +38,19 @@ fn main(
     let weight = workgroup.z * params.weight_stride;
     for (var i = workgroup.x * 64u + lane; i < params.texels; i += params.invocations) {
         let at = first + i;
-        var sum = weights[weight] * map0[at];
+        var sum = weights[weight] * loaded(map0[at]);
 #if MAP1
-        sum += weights[weight + 1u] * map1[at];
+        sum += weights[weight + 1u] * loaded(map1[at]);
 #endif
 #if MAP2
-        sum += weights[weight + 2u] * map2[at];
+        sum += weights[weight + 2u] * loaded(map2[at]);
 #endif
 #if MAP3
-        sum += weights[weight + 3u] * map3[at];
+        sum += weights[weight + 3u] * loaded(map3[at]);
 #endif
 #if MAP4
-        sum += weights[weight + 4u] * map4[at];
+        sum += weights[weight + 4u] * loaded(map4[at]);
 #endif
-        output[at] = sum;
+        output[at] = stored(sum);
     }
 }

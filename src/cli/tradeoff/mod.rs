@@ -114,6 +114,10 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let plan = setups::Plan::new(&weights, &args.sizes, gpu.as_ref());
     let table = measure::measure(&plan, &pictures, &classes, &stopped)?;
 
+    if table.stopped && table.rows.is_empty() {
+        tell("Stopped before the configurations had seen a picture: nothing was measured.");
+        return Ok(Exit::Interrupted);
+    }
     let json = serde_json::to_vec_pretty(&table)
         .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", file("json").display())))?;
     let plots = plot::draw(&table).map_err(|e| Failure::new(Exit::Output, format!("plot: {e}")))?;

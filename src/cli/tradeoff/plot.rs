@@ -253,6 +253,7 @@ mod tests {
             device: device.into(),
             kernels: vec![],
             batch: 1,
+            precision: Default::default(),
         };
         Measured {
             setup,

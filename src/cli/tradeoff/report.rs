@@ -69,7 +69,7 @@ pub(super) fn markdown(table: &Table) -> String {
 /// All figures but those of single stages, a line a setup; empty where there is none.
 pub(super) fn csv(table: &Table) -> String {
     let mut text = String::from(
-        "weights,size,device,kernels,batch,wall_ms_median,wall_ms_95,wall_ms_worst,device_ms_median,\
+        "weights,size,device,kernels,batch,precision,wall_ms_median,wall_ms_95,wall_ms_worst,device_ms_median,\
          peak_bytes,stage_relative_l2,shift_mm_median,shift_mm_95,shift_mm_worst,score_shift_median,\
          score_shift_95,score_shift_worst,boxes,lost,gained,iou,ap50,center_error_mm,front\n",
     );
@@ -86,6 +86,7 @@ pub(super) fn csv(table: &Table) -> String {
             quoted(&setup.device),
             quoted(&setup.kernels.join("+")),
             setup.batch.to_string(),
+            setup.precision.to_string(),
         ];
         cells.extend(spread(Some(row.wall_ms)));
         cells.push(number(row.device_ms.map(|s| s.median)));

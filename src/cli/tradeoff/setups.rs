@@ -7,7 +7,7 @@ use smr_gpu::gpu::Gpu;
 use smr_gpu::lower::Choice;
 use smr_gpu::tradeoff::{Measured, Setup, Table, digest};
 use smr_gpu::tune::Place;
-use smr_gpu::{Config, Device, WeightSource};
+use smr_gpu::{Config, Device, Precision, WeightSource};
 
 use super::super::detector::{open_gpu, weight_file};
 use super::super::exit::{Exit, Failure};
@@ -53,6 +53,7 @@ impl Plan {
             device,
             kernels: Vec::new(),
             batch: 1,
+            precision: Precision::F32,
         };
         let mut single = vec![base.clone()];
         single.extend(
@@ -62,6 +63,7 @@ impl Plan {
         let networks = single.clone();
         single.push(Setup { batch: BATCH, ..base.clone() });
         if gpu.is_some() {
+            single.push(Setup { precision: Precision::F16, ..base.clone() });
             single.extend(FAMILIES.map(|family| {
                 let kernels = family.iter().map(|id| (*id).to_owned()).collect();
                 Setup { kernels, ..base.clone() }
@@ -88,9 +90,18 @@ impl Plan {
         for a in &front {
             for b in &front {
                 for c in &front {
-                    let kernels = if c.device == CPU { Vec::new() } else { c.kernels.clone() };
+                    let gpu = c.device != CPU;
+                    let kernels = if gpu { c.kernels.clone() } else { Vec::new() };
+                    let precision = if gpu { c.precision } else { Precision::F32 };
                     let (weights, device) = (a.weights.clone(), c.device.clone());
-                    add(Setup { weights, size: b.size, device, kernels, batch: c.batch });
+                    add(Setup {
+                        weights,
+                        size: b.size,
+                        device,
+                        kernels,
+                        batch: c.batch,
+                        precision,
+                    });
                 }
             }
         }
@@ -156,6 +167,7 @@ pub(in crate::cli) fn configured(
 ) -> Result<(Config, Option<Place>), Failure> {
     config.weights = WeightSource::File(weight_file(Some(Path::new(&setup.weights)))?);
     config.input_size = setup.size;
+    config.precision = setup.precision;
     config.device = setup.device.parse::<Device>()?;
     config.choice = Choice { forced: setup.kernels.clone(), ..Choice::default() };
     config.in_flight = config.in_flight.max(setup.batch.min(4));
@@ -180,7 +192,7 @@ mod tests {
         }
     }
 
-    /// Two networks and six sizes on the CPU alone are eight setups and a batch; an adapter adds eleven.
+    /// Two networks and six sizes on the CPU alone are eight setups and a batch; an adapter adds twelve.
     #[test]
     fn enough_is_measured_and_nothing_twice() {
         let weights = ["large", "small"].map(|w| (w.to_owned(), PathBuf::new(), String::new()));

@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, layout};
+use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, all_texels, layout};
 use crate::ops::ApplyGates;
 use crate::shader::{Shader, Variant, shader_params};
 
@@ -32,7 +32,7 @@ impl Kernel for Quads {
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
+        all_texels(&Variant::default()).map(|variant| (&SHADER, variant)).into()
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -76,7 +76,9 @@ impl Kernel for Quads {
             ("output", outputs[0]),
         ];
         let grid = Grid::Workgroups([map.height.div_ceil(8), map.quads, recording.batch()]);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
+        let variant = recording.texels(Variant::default(), inputs[0], outputs[0]);
+        let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
+        recording.dispatch(dispatch.variant(variant));
         Ok(())
     }
 }

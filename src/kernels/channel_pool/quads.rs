@@ -2,9 +2,10 @@
 
 use crate::error::Result;
 use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, layout};
+use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, all_texels, layout};
 use crate::ops::bounds::SumOrder;
 use crate::ops::{ChannelPool, Op, Tolerance};
+use crate::precision::Precision;
 use crate::shader::{Shader, Variant, shader_params};
 use crate::shape::TensorSpec;
 use crate::tensor::Value;
@@ -48,7 +49,7 @@ impl Kernel for Quads {
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
+        all_texels(&Variant::default()).map(|variant| (&SHADER, variant)).into()
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -95,13 +96,16 @@ impl Kernel for Quads {
         };
         let bindings = [("input", input), ("partials", partials)];
         let grid = Grid::Workgroups([chunks, map.quads.div_ceil(8), recording.batch()]);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
+        let variant = recording.texels(Variant::default(), input, output);
+        let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
+        recording.dispatch(dispatch.variant(variant.clone()));
         if chunks > 1 {
             params.divisor = (map.width * map.height) as f32;
             let bindings = [("partials_in", partials), ("output", output)];
             let across = (2 * map.channels).div_ceil(64);
             let grid = Grid::Workgroups([across, 1, recording.batch()]);
-            recording.dispatch(Dispatch::new(&SHADER, "finish", &params, &bindings, grid));
+            let dispatch = Dispatch::new(&SHADER, "finish", &params, &bindings, grid);
+            recording.dispatch(dispatch.variant(variant));
         }
         Ok(())
     }
@@ -111,6 +115,7 @@ impl Kernel for Quads {
         _op: &dyn Op,
         inputs: &[&Value],
         _reference: &[Value],
+        _precision: Precision,
     ) -> Result<Option<Vec<Tolerance>>> {
         // A part of a row, the rows of a chunk, the eight parts, the chunks.
         let order = |height: usize, width: usize| {

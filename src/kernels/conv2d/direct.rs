@@ -1,14 +1,19 @@
 //! On maps of four channels a texel, in registers.
 
 use super::{Sizes, join, padded_bias, weights_known};
+use std::borrow::Cow;
+
 use crate::error::{Error, Result};
 use crate::graph::TensorId;
 use crate::kernels::products::Lanes;
+use crate::kernels::weights::{Packing, Stored};
 use crate::kernels::{
-    Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Quads, Recording, Work,
+    Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Quads, Recording, Work, all_texels,
+    texels,
 };
 use crate::ops::bounds::{Joined, SumOrder};
 use crate::ops::{Conv2d, Op, Tolerance};
+use crate::precision::Precision;
 use crate::shader::{Shader, Variant, shader_params};
 use crate::shape::TensorSpec;
 use crate::tensor::{Constant, Tensor, Value};
@@ -90,7 +95,8 @@ impl Form {
         }
     }
 
-    fn variant(&self, tile: &Tile) -> Variant {
+    /// `weights` says how those are stored; for the maps see [`Recording::texels`].
+    fn variant(&self, tile: &Tile, weights: Precision) -> Variant {
         let named = [
             ("WORKGROUP", tile.workgroup as usize),
             ("KERNEL", self.rows),
@@ -108,6 +114,7 @@ impl Form {
             .with("ANY", self.rows == 0)
             .with("POINT", self.is_point())
             .with("THREE", self.three)
+            .with("HALF_WEIGHT", weights.is_half())
     }
 
     fn is_point(&self) -> bool {
@@ -185,7 +192,7 @@ struct Plan {
 /// What a plan is bound to; bias and residual are no part of it where sums are cut into parts.
 struct Bound {
     input: TensorId,
-    weight: TensorId,
+    weight: Stored,
     bias: TensorId,
     residual: TensorId,
     output: TensorId,
@@ -233,11 +240,23 @@ impl Plan {
         self.grid.into_iter().map(u64::from).chain([pictures]).all(|n| n <= most)
     }
 
-    fn packed(&self, recording: &mut Recording, name: &str, weight: &Constant) -> TensorId {
-        let Self { form, tile, texels: [width, height], .. } = *self;
-        let spec = TensorSpec::f32([height, width, 4]);
-        let packed = weight.packed(spec, move |w| pack_weight(w, &form, &tile, [width, height]));
-        recording.constant_texture(format!("{name} (packed)"), packed)
+    /// Adds the weights that `transform` makes of `weight`, whose outputs it repeats `copies` times.
+    fn packed(
+        &self,
+        recording: &mut Recording,
+        name: &str,
+        weight: &Constant,
+        precision: Precision,
+        (copies, transform): (usize, fn(&Tensor) -> Cow<'_, Tensor>),
+    ) -> Stored {
+        let Self { form, tile, texels: [width, height], sizes, .. } = *self;
+        let packing = Packing {
+            texels: TensorSpec::f32([height, width, 4]),
+            outputs: sizes.out_c.next_multiple_of(tile.channels),
+            copies,
+            pack: move |w: &Tensor| pack_weight(&transform(w), &form, &tile, [width, height]),
+        };
+        packing.record(recording, name, weight, precision)
     }
 
     /// Appends the dispatch. Each of `groups` equal parts of the outputs sees its own part of the
@@ -274,14 +293,18 @@ impl Plan {
         };
         let bindings = [
             ("input", bound.input),
-            ("weight", bound.weight),
+            ("weight", bound.weight.texels),
             ("bias", bound.bias),
             ("residual", bound.residual),
             ("output", bound.output),
         ];
+        let scale = bound.weight.scale.map(|id| ("scale", id));
+        let bindings: Vec<_> = bindings.into_iter().chain(scale).collect();
         let grid = Grid::Workgroups([across, tiles, recording.batch() * self.splits]);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
-        recording.dispatch(dispatch.variant(form.variant(&tile)));
+        let variant = form.variant(&tile, recording.info(bound.weight.texels).precision);
+        let variant = recording.texels(variant, bound.input, bound.output);
+        recording.dispatch(dispatch.variant(variant));
         Ok(())
     }
 }
@@ -343,9 +366,15 @@ impl Kernel for Direct {
 
     fn shaders(&self, caps: &Caps) -> Vec<(&'static Shader, Variant)> {
         let Some(tile) = Tile::of(self.0, caps) else { return Vec::new() };
-        let direct = Form::all().map(|form| (&SHADER, form.variant(&tile)));
-        let join = self.is_split().then(|| (&join::SHADER, Variant::default()));
-        direct.chain(join).collect()
+        use Precision::{F16, F32};
+        // Weights, what is read, and what is written; the last for the parts of a sum.
+        let stored = [(F32, F32, F32), (F16, F16, F16), (F16, F16, F32), (F16, F32, F32)];
+        let direct = Form::all().flat_map(|form| {
+            stored.map(|(w, read, written)| texels(form.variant(&tile, w), read, written))
+        });
+        let join = self.is_split().then(|| all_texels(&Variant::default()));
+        let join = join.into_iter().flatten().map(|variant| (&join::SHADER, variant));
+        direct.map(|variant| (&SHADER, variant)).chain(join).collect()
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -388,7 +417,8 @@ impl Kernel for Direct {
         let (&input, &weight, bias, residual) = op.split(inputs);
         let name = recording.info(weight).name.clone();
         let weight = recording.weights(op.name(), weight)?;
-        let weight = plan.packed(recording, &name, &weight);
+        let as_it_is: fn(&Tensor) -> Cow<'_, Tensor> = |w| Cow::Borrowed(w);
+        let weight = plan.packed(recording, &name, &weight, work.precision, (1, as_it_is));
         let (out_c, tile) = (plan.sizes.out_c, plan.tile.channels);
         let bias = padded_bias(op, recording, bias, out_c, tile)?;
         let bias = recording.constant(format!("{name} (bias)"), bias);
@@ -401,11 +431,18 @@ impl Kernel for Direct {
         }
         let zeros = Tensor::<f32>::zeros([out_c.next_multiple_of(tile)]);
         let zeros = recording.constant(format!("{name} (no bias)"), zeros);
-        let floats = (to.bytes() / 4) as usize * plan.splits as usize;
+        let floats = to.texels() as usize * 4 * plan.splits as usize;
         let parts = recording.scratch("parts", TensorSpec::f32([floats]));
         let bound = Bound { input, weight, bias: zeros, residual, output: parts, to };
         plan.dispatch(op, recording, &bound, 1)?;
-        join::record(op, recording, plan.splits, [parts, bias, residual, output], to);
+        join::record(
+            op,
+            recording,
+            work.precision,
+            plan.splits,
+            [parts, bias, residual, output],
+            to,
+        );
         Ok(())
     }
 
@@ -414,13 +451,14 @@ impl Kernel for Direct {
         op: &dyn Op,
         inputs: &[&Value],
         _reference: &[Value],
+        precision: Precision,
     ) -> Result<Option<Vec<Tolerance>>> {
         let any: &dyn std::any::Any = op;
         let Some(op) = any.downcast_ref::<Conv2d>() else { return Ok(None) };
         let weight = op.split(inputs).1.spec();
         let [_, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.shape.0[i]);
         let order = Form::of(op, in_c, kh, kw).order(in_c, kh, kw);
-        op.summed(inputs, order).map(Some)
+        op.summed(inputs, order, precision).map(Some)
     }
 }
 
@@ -446,7 +484,8 @@ impl Products {
         let plan = Plan::of(&Conv2d::default(), sizes, Manner::Whole, caps)?;
         let whole = in_c.is_multiple_of(4) && out_c.is_multiple_of(plan.tile.channels);
         let maps = [in_c, out_c].map(|c| TensorSpec::f32([groups * c, 1, columns]));
-        let fit = maps.iter().all(|map| Quads::of(map, batch, caps).is_some());
+        let fits = |map| Quads::of(map, Precision::F32, batch, caps).is_some();
+        let fit = maps.iter().all(fits);
         (whole && fit && plan.starts(batch)).then_some(Self { plan, groups })
     }
 
@@ -455,16 +494,19 @@ impl Products {
         Form::POINT.order(in_c, 1, 1)
     }
 
-    /// Appends the products of `input` `[groups · I, 1, columns]` and `weight` `[groups · O, I, 1, 1]`.
+    /// Appends the products of `input` `[groups · I, 1, columns]` and what `transform` makes of `weight`,
+    /// `[groups · O, I, 1, 1]`, stored in `precision`.
     pub fn record(
         &self,
         recording: &mut Recording,
         name: &str,
         input: TensorId,
-        weight: &Constant,
+        (weight, precision): (&Constant, Precision),
+        transform: fn(&Tensor) -> Cow<'_, Tensor>,
         output: TensorId,
     ) -> Result<()> {
-        let weight = self.plan.packed(recording, name, weight);
+        let transform = (self.groups, transform);
+        let weight = self.plan.packed(recording, name, weight, precision, transform);
         let zeros = Tensor::<f32>::zeros([self.plan.sizes.out_c]);
         let bias = recording.constant(format!("{name} (no bias)"), zeros);
         let to = recording.quads(output)?;

@@ -1,9 +1,10 @@
 //! What adds up the parts of a split sum.
 
 use crate::graph::TensorId;
-use crate::kernels::{Dispatch, Grid, Quads, Recording};
+use crate::kernels::{Dispatch, Grid, Quads, Recording, texels};
 use crate::ops::Conv2d;
-use crate::shader::{Shader, shader_params};
+use crate::precision::Precision;
+use crate::shader::{Shader, Variant, shader_params};
 
 shader_params! {
     struct Params {
@@ -24,10 +25,11 @@ pub(super) static SHADER: Shader = Shader {
 /// Invocations of a workgroup.
 const LANES: u32 = 64;
 
-/// Appends what adds `splits` parts of each picture, bias, residual and ReLU.
+/// Appends what adds `splits` parts of each picture, bias, residual, stored in `precision`, and ReLU.
 pub(super) fn record(
     op: &Conv2d,
     recording: &mut Recording,
+    precision: Precision,
     splits: u32,
     [parts, bias, residual, output]: [TensorId; 4],
     map: Quads,
@@ -40,7 +42,9 @@ pub(super) fn record(
         pictures: recording.batch(),
     };
     let bindings = [("parts", parts), ("bias", bias), ("residual", residual), ("output", output)];
-    let texels = map.width as usize * map.height as usize * map.quads as usize;
-    let grid = Grid::linear(texels * recording.batch() as usize, LANES);
-    recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
+    let invocations = map.width as usize * map.height as usize * map.quads as usize;
+    let grid = Grid::linear(invocations * recording.batch() as usize, LANES);
+    let written = recording.info(output).precision;
+    let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
+    recording.dispatch(dispatch.variant(texels(Variant::default(), precision, written)));
 }

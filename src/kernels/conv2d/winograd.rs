@@ -1,16 +1,20 @@
 //! By Winograd's F(4 × 4, 3 × 3), in three passes: a quarter of the products.
 
+use std::borrow::Cow;
+
 use super::direct::Products;
 use super::{Sizes, padded_bias, weights_known};
 use crate::error::{Error, Result};
 use crate::graph::TensorId;
 use crate::kernels::products::Lanes;
 use crate::kernels::{
-    Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Quads, Recording, Work,
+    Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Quads, Recording, Work, all_texels,
+    texels,
 };
-use crate::ops::bounds::magnitude;
-use crate::ops::winograd::{OUT, POINTS, error_bound, point_weight};
+use crate::ops::bounds::{magnitude, moved_sum};
+use crate::ops::winograd::{OUT, POINTS, error_bound, magnitudes, point_weight};
 use crate::ops::{Conv2d, Op, Tolerance};
+use crate::precision::{Precision, weight_error, weight_powers};
 use crate::shader::{Shader, Variant, shader_params};
 use crate::shape::TensorSpec;
 use crate::tensor::{Tensor, Value};
@@ -115,7 +119,9 @@ impl Kernel for Winograd {
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
         // Its products are dispatches of `conv2d/direct`.
-        [&input::SHADER, &output::SHADER].map(|shader| (shader, Variant::default())).into()
+        let variants = all_texels(&Variant::default());
+        let both = variants.map(|v| [(&input::SHADER, v.clone()), (&output::SHADER, v)]);
+        both.into_iter().flatten().collect()
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -162,16 +168,17 @@ impl Kernel for Winograd {
         let Sizes { in_c, out_c, .. } = plan.sizes;
         let (&input, &weight, bias, residual) = op.split(inputs);
         let name = recording.info(weight).name.clone();
-        let spec = TensorSpec::f32([POINTS * out_c, in_c, 1, 1]);
-        let weight = recording.weights(op.name(), weight)?.packed(spec, transform_weight);
+        let weight = recording.weights(op.name(), weight)?;
         let bias = padded_bias(op, recording, bias, out_c, 4)?;
         let bias = recording.constant(format!("{name} (bias)"), bias);
 
+        // Points are up to a hundred times the inputs, of whose digits they must keep more than f16 has.
+        let single = Precision::F32;
         let before = TensorSpec::f32([POINTS * in_c, 1, plan.tiles]);
         let after = TensorSpec::f32([POINTS * out_c, 1, plan.tiles]);
-        let written = recording.map("points", before.clone(), Layout::Quads)?;
-        let read = recording.map("points", before, Layout::Texture)?;
-        let sums = recording.map("points (sums)", after, Layout::Quads)?;
+        let written = recording.map("points", before.clone(), Layout::Quads, single)?;
+        let read = recording.map("points", before, Layout::Texture, single)?;
+        let sums = recording.map("points (sums)", after, Layout::Quads, single)?;
         let across = plan.tiles.div_ceil(WORKGROUP) as u32;
         let columns = plan.tile_columns as u32;
         let batch = recording.batch();
@@ -180,10 +187,13 @@ impl Kernel for Winograd {
         let params = input::params(from, recording.quads(written)?, columns);
         let bindings = [("input", input), ("points", written)];
         let grid = Grid::Workgroups([across, from.quads, batch]);
-        recording.dispatch(Dispatch::new(&input::SHADER, "main", &params, &bindings, grid));
+        let dispatch = Dispatch::new(&input::SHADER, "main", &params, &bindings, grid);
+        let variant = recording.texels(Variant::default(), input, written);
+        recording.dispatch(dispatch.variant(variant));
         recording.copy(written, read);
 
-        plan.products.record(recording, &name, read, &weight, sums)?;
+        let weight = (&weight, work.precision);
+        plan.products.record(recording, &name, read, weight, transform_weight, sums)?;
 
         let to = recording.quads(outputs[0])?;
         let params = output::params(op, recording.quads(sums)?, to, columns);
@@ -192,7 +202,10 @@ impl Kernel for Winograd {
         let bindings =
             [("points", sums), ("bias", bias), ("residual", residual), ("output", outputs[0])];
         let grid = Grid::Workgroups([across, to.quads, batch]);
-        recording.dispatch(Dispatch::new(&output::SHADER, "main", &params, &bindings, grid));
+        let dispatch = Dispatch::new(&output::SHADER, "main", &params, &bindings, grid);
+        let written = recording.info(outputs[0]).precision;
+        let variant = texels(Variant::default(), work.precision, written);
+        recording.dispatch(dispatch.variant(variant));
         Ok(())
     }
 
@@ -201,6 +214,7 @@ impl Kernel for Winograd {
         op: &dyn Op,
         inputs: &[&Value],
         _reference: &[Value],
+        precision: Precision,
     ) -> Result<Option<Vec<Tolerance>>> {
         let any: &dyn std::any::Any = op;
         let Some(op) = any.downcast_ref::<Conv2d>() else { return Ok(None) };
@@ -218,18 +232,24 @@ impl Kernel for Winograd {
             .collect();
         let at = |point: usize, i: usize, o: usize| points[(point * in_c + i) * out_c + o];
         let (input, order) = (magnitude(input)?, Products::order(in_c));
-        let errors = error_bound(&input, out_c, at, bias.as_ref(), residual.as_ref(), order);
+        let mut errors = error_bound(&input, out_c, at, bias.as_ref(), residual.as_ref(), order);
+        if precision.is_half() {
+            let powers = weight_powers(weight);
+            let rounded = |point, i, o| weight_error(at(point, i, o), powers[o]);
+            let moved = magnitudes(&input, out_c, rounded, None, None);
+            errors.iter_mut().zip(moved).for_each(|(e, m)| *e += moved_sum(m));
+        }
         Ok(Some(vec![Tolerance::Each(errors)]))
     }
 }
 
 /// `[O, I, 3, 3]` to `[36 · O, I, 1, 1]`.
-fn transform_weight(weight: &Tensor) -> Tensor {
+fn transform_weight(weight: &Tensor) -> Cow<'_, Tensor> {
     let [out_c, in_c] = [0, 1].map(|i| weight.dims()[i]);
-    Tensor::from_fn([POINTS * out_c, in_c, 1, 1], |at| {
+    Cow::Owned(Tensor::from_fn([POINTS * out_c, in_c, 1, 1], |at| {
         let (point, kernel) = (at / (out_c * in_c), at % (out_c * in_c));
         point_weight(&weight.data()[kernel * 9..][..9], point)
-    })
+    }))
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, layout};
+use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, all_texels, layout};
 use crate::ops::CropResize;
 use crate::shader::{Shader, Variant, shader_params};
 
@@ -42,7 +42,7 @@ impl Kernel for Quads {
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
+        all_texels(&Variant::default()).map(|variant| (&SHADER, variant)).into()
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -82,7 +82,9 @@ impl Kernel for Quads {
         };
         let bindings = [("picture", inputs[0]), ("crop", inputs[1]), ("output", outputs[0])];
         let grid = Grid::Workgroups([map.width.div_ceil(8), map.height.div_ceil(32), 1]);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
+        let variant = recording.texels(Variant::default(), inputs[0], outputs[0]);
+        let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
+        recording.dispatch(dispatch.variant(variant));
         Ok(())
     }
 }

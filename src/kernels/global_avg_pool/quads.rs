@@ -2,9 +2,10 @@
 
 use crate::error::Result;
 use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, layout};
+use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, all_texels, layout};
 use crate::ops::bounds::SumOrder;
 use crate::ops::{GlobalAvgPool, Op, Tolerance};
+use crate::precision::Precision;
 use crate::shader::{Shader, Variant, shader_params};
 use crate::tensor::Value;
 
@@ -34,7 +35,7 @@ impl Kernel for Quads {
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
+        all_texels(&Variant::default()).map(|variant| (&SHADER, variant)).into()
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -64,7 +65,9 @@ impl Kernel for Quads {
             let params = Params { map, first, output_stride, pad0: 0, pad1: 0 };
             let bindings = [("input", *input), ("output", outputs[0])];
             let grid = Grid::Workgroups([1, map.quads.div_ceil(8), recording.batch()]);
-            recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
+            let variant = recording.texels(Variant::default(), *input, outputs[0]);
+            let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
+            recording.dispatch(dispatch.variant(variant));
             first += map.channels;
         }
         Ok(())
@@ -75,6 +78,7 @@ impl Kernel for Quads {
         _op: &dyn Op,
         inputs: &[&Value],
         _reference: &[Value],
+        _precision: Precision,
     ) -> Result<Option<Vec<Tolerance>>> {
         // A part of a row, the rows, the eight parts.
         let order =

@@ -1,17 +1,21 @@
 //! As a product of matrices, in registers.
 
+use crate::cpu;
 use crate::error::{Error, Result};
 use crate::graph::TensorId;
 use crate::kernels::count::{count_tensor, row_grid};
 use crate::kernels::products::Lanes;
+use crate::kernels::weights::Packing;
 use crate::kernels::{
     Caps, Dispatch, Grid, Kernel, MAX_WORKGROUPS, Recording, Work, indirect_grid,
 };
+use crate::ops::bounds::{magnitude, moved_sum};
 use crate::ops::linear::slices;
-use crate::ops::{IndirectGrid, Linear, Op};
+use crate::ops::{IndirectGrid, Linear, Op, Tolerance};
+use crate::precision::{Precision, weight_errors};
 use crate::shader::{Shader, Variant, shader_params};
 use crate::shape::TensorSpec;
-use crate::tensor::Tensor;
+use crate::tensor::{Tensor, Value};
 
 shader_params! {
     struct Params {
@@ -41,9 +45,12 @@ const OUTPUTS: usize = 4;
 /// Invocations of a workgroup of `finish`.
 const FINISH: u32 = 64;
 
-fn variant(lanes: u32, inner: usize) -> Variant {
+fn variant(lanes: u32, inner: usize, weights: Precision) -> Variant {
     let variant = Variant::of(&[("LANES", lanes)]);
-    Lanes(Some(lanes)).variant(variant).with("ALIGNED", inner.is_multiple_of(4))
+    Lanes(Some(lanes))
+        .variant(variant)
+        .with("ALIGNED", inner.is_multiple_of(4))
+        .with("HALF_WEIGHT", weights.is_half())
 }
 
 /// A layer cut into workgroups.
@@ -109,7 +116,11 @@ impl Kernel for Gemm {
 
     fn shaders(&self, caps: &Caps) -> Vec<(&'static Shader, Variant)> {
         let lanes = Lanes::of(caps).0;
-        lanes.iter().flat_map(|l| [4, 1].map(|inner| (&SHADER, variant(*l, inner)))).collect()
+        let all = [4, 1]
+            .into_iter()
+            .flat_map(|inner| [Precision::F32, Precision::F16].map(|weights| (inner, weights)));
+        let all = all.flat_map(|(inner, weights)| lanes.map(|l| variant(l, inner, weights)));
+        all.map(|variant| (&SHADER, variant)).collect()
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -132,9 +143,13 @@ impl Kernel for Gemm {
         let padded = tiles * tile;
 
         let weight = recording.weights(op.name(), inputs[1])?;
-        let spec = TensorSpec::f32([height, width, 4]);
-        let weight = weight.packed(spec, move |weight| plan.pack_weight(weight));
-        let weight = recording.constant_texture(format!("{name} (packed)"), weight);
+        let packing = Packing {
+            texels: TensorSpec::f32([height, width, 4]),
+            outputs: plan.outputs,
+            copies: 1,
+            pack: move |weight: &Tensor| plan.pack_weight(weight),
+        };
+        let weight = packing.record(recording, &name, &weight, work.precision);
         let bias = recording.weights(op.name(), inputs[2])?;
         let bias = recording.constant(format!("{name} (bias)"), bias);
         let partials = recording.scratch("partials", TensorSpec::f32([slices, rows, padded]));
@@ -152,7 +167,7 @@ impl Kernel for Gemm {
             relu: u32::from(op.relu),
             zero: 0,
         };
-        let variant = variant(plan.lanes, plan.inner);
+        let variant = variant(plan.lanes, plan.inner, work.precision);
 
         let layers = (tiles * slices) as u32;
         let grid = match given {
@@ -166,18 +181,49 @@ impl Kernel for Gemm {
                 Grid::Indirect(indirect_grid::scratch(&grid, recording, count)?)
             }
         };
+        let texels = weight.texels;
         let bindings =
-            [("count", count), ("input", inputs[0]), ("weight", weight), ("partials", partials)];
+            [("count", count), ("input", inputs[0]), ("weight", texels), ("partials", partials)];
         let partial = Dispatch::new(&SHADER, "partial", &params, &bindings, grid);
         recording.dispatch(partial.variant(variant.clone()));
 
         let grid = row_grid(recording, given, rows, plan.outputs, FINISH)?;
         let bindings =
             [("count", count), ("partials", partials), ("bias", bias), ("output", outputs[0])];
+        let scale = weight.scale.map(|id| ("scale", id));
+        let bindings: Vec<_> = bindings.into_iter().chain(scale).collect();
         let finish = Dispatch::new(&SHADER, "finish", &params, &bindings, grid);
         recording.dispatch(finish.variant(variant));
         Ok(())
     }
+
+    fn tolerance(
+        &self,
+        op: &dyn Op,
+        inputs: &[&Value],
+        reference: &[Value],
+        precision: Precision,
+    ) -> Result<Option<Vec<Tolerance>>> {
+        if !precision.is_half() {
+            return Ok(None);
+        }
+        let bounds = op.tolerance(inputs, reference)?;
+        let moved = moved(inputs)?;
+        let add = |bound: Tolerance| {
+            let each = moved.iter().enumerate().map(|(i, m)| bound.limit(i) + m);
+            Tolerance::Each(each.collect())
+        };
+        Ok(Some(bounds.into_iter().map(add).collect()))
+    }
+}
+
+/// How far each output may be moved by weights that are stored in f16.
+fn moved(inputs: &[&Value]) -> Result<Vec<f64>> {
+    let rounded = weight_errors(inputs[1].f32()?);
+    let (input, none) = (magnitude(inputs[0])?, Tensor::zeros([rounded.dims()[0]]));
+    let rows = input.dims()[0];
+    let moved = cpu::linear(&input, &rounded, &none, rows, false);
+    Ok(moved.data().iter().map(|m| moved_sum(f64::from(*m))).collect())
 }
 
 #[cfg(test)]

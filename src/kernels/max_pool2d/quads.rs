@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, layout};
+use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, all_texels, layout};
 use crate::ops::MaxPool2d;
 use crate::shader::{Shader, Variant, shader_params};
 
@@ -33,7 +33,7 @@ impl Kernel for Quads {
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
+        all_texels(&Variant::default()).map(|variant| (&SHADER, variant)).into()
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -72,7 +72,9 @@ impl Kernel for Quads {
         let bindings = [("input", inputs[0]), ("output", outputs[0])];
         let [down, quads] = [output.height.div_ceil(8), output.quads.div_ceil(2)];
         let grid = Grid::Workgroups([down, quads, recording.batch()]);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
+        let variant = recording.texels(Variant::default(), inputs[0], outputs[0]);
+        let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
+        recording.dispatch(dispatch.variant(variant));
         Ok(())
     }
 }

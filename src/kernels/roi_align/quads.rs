@@ -4,7 +4,7 @@ use crate::error::Result;
 use crate::graph::TensorId;
 use crate::kernels::count::count_tensor;
 use crate::kernels::{
-    Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Recording, Work, layout,
+    Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Recording, Work, all_texels, layout,
 };
 use crate::ops::RoiAlign;
 use crate::shader::{Shader, Variant, shader_params};
@@ -44,7 +44,7 @@ impl Kernel for Quads {
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
+        all_texels(&Variant::default()).map(|variant| (&SHADER, variant)).into()
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -91,7 +91,9 @@ impl Kernel for Quads {
         ];
         let [across, quads] = [bin_groups(op, rois) as u32, map.quads.div_ceil(4)];
         let grid = Grid::Workgroups([across, quads, recording.batch()]);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
+        let variant = recording.texels(Variant::default(), inputs[0], outputs[0]);
+        let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
+        recording.dispatch(dispatch.variant(variant));
         Ok(())
     }
 }

@@ -2,9 +2,10 @@
 
 use crate::error::Result;
 use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, layout};
+use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, all_texels, layout};
 use crate::ops::bounds::SumOrder;
 use crate::ops::{Op, SpatialPool, Tolerance};
+use crate::precision::Precision;
 use crate::shader::{Shader, Variant, shader_params};
 use crate::tensor::Value;
 
@@ -39,7 +40,7 @@ impl Kernel for Quads {
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
+        all_texels(&Variant::default()).map(|variant| (&SHADER, variant)).into()
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -76,7 +77,9 @@ impl Kernel for Quads {
         let bindings = [("input", inputs[0]), ("channel_gate", inputs[1]), ("output", outputs[0])];
         let [across, down] = [map.width.div_ceil(16), map.height.div_ceil(8 / slices)];
         let grid = Grid::Workgroups([across, down, recording.batch()]);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
+        let variant = recording.texels(Variant::default(), inputs[0], outputs[0]);
+        let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
+        recording.dispatch(dispatch.variant(variant));
         Ok(())
     }
 
@@ -85,6 +88,7 @@ impl Kernel for Quads {
         _op: &dyn Op,
         inputs: &[&Value],
         _reference: &[Value],
+        _precision: Precision,
     ) -> Result<Option<Vec<Tolerance>>> {
         // The quads of a slice, the four of a quad, the slices.
         let order = |channels: usize| {

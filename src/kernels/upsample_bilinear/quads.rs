@@ -3,7 +3,7 @@
 use crate::error::Result;
 use crate::graph::TensorId;
 use crate::kernels::{
-    Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Recording, Work, layout,
+    Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Recording, Work, all_texels, layout,
 };
 use crate::ops::UpsampleBilinear;
 use crate::shader::{Shader, Variant, shader_params};
@@ -38,7 +38,7 @@ impl Kernel for Quads {
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
+        all_texels(&Variant::default()).map(|variant| (&SHADER, variant)).into()
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -74,7 +74,9 @@ impl Kernel for Quads {
         let bindings = [("input", inputs[0]), ("output", outputs[0])];
         let [across, down] = [output.width, output.height].map(|n| n.div_ceil(8));
         let grid = Grid::Workgroups([across, down, blocks * recording.batch()]);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
+        let variant = recording.texels(Variant::default(), inputs[0], outputs[0]);
+        let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
+        recording.dispatch(dispatch.variant(variant));
         Ok(())
     }
 }

@@ -2,7 +2,9 @@
 
 use crate::error::Result;
 use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Recording, Work};
+use crate::kernels::{
+    Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Recording, Work, all_texels,
+};
 use crate::ops::WeightedSum;
 use crate::ops::weighted_sum::MAPS;
 use crate::shader::{Shader, Variant, shader_params};
@@ -41,7 +43,8 @@ impl Kernel for Quads {
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        (1..=MAPS.len()).map(|maps| (&SHADER, variant(maps))).collect()
+        let all = (1..=MAPS.len()).flat_map(|maps| all_texels(&variant(maps)));
+        all.map(|variant| (&SHADER, variant)).collect()
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -68,7 +71,7 @@ impl Kernel for Quads {
         outputs: &[TensorId],
     ) -> Result<()> {
         let op: &WeightedSum = work.op()?;
-        let texels = (recording.quads(outputs[0])?.bytes() / 16) as u32;
+        let texels = recording.quads(outputs[0])?.texels() as u32;
         let groups = texels.div_ceil(TEXELS * 64).min(MAX_WORKGROUPS);
         let weight_stride = recording.stride(inputs[0]);
         let params = Params { texels, weight_stride, invocations: groups * 64, pad0: 0 };
@@ -77,7 +80,8 @@ impl Kernel for Quads {
         let bindings: Vec<_> = ends.into_iter().chain(maps).collect();
         let grid = Grid::Workgroups([groups, 1, recording.batch()]);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
-        recording.dispatch(dispatch.variant(variant(op.maps)));
+        let variant = recording.texels(variant(op.maps), inputs[1], outputs[0]);
+        recording.dispatch(dispatch.variant(variant));
         Ok(())
     }
 }

@@ -261,7 +261,9 @@ fn bad_pictures_are_named_and_good_ones_go_through() {
     for (record, file) in records.iter().zip(&good) {
         let fields: Vec<&String> = record.as_object().expect("an object").keys().collect();
         let size = ["height", "mm_per_pixel", "width"];
-        let mut all = ["adapter", "detections", "file", "kernels", "timings_ms"].to_vec();
+        let mut all =
+            ["adapter", "contact", "detections", "file", "kernels", "timings_ms"].to_vec();
+        all.push("regions");
         all.extend(size);
         all.sort_unstable();
         assert_eq!(fields, all);

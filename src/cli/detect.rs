@@ -10,7 +10,7 @@ use smr_gpu::detector::Stages;
 use smr_gpu::files::Outputs;
 use smr_gpu::graph::StageTime;
 use smr_gpu::tradeoff::Limit;
-use smr_gpu::{Detection, Detections, Frame, GpuDetector, WeightSource};
+use smr_gpu::{Detection, Detections, Frame, GpuDetector, Rect, WeightSource};
 
 use super::detector::{self, DetectorArgs, fraction};
 use super::draw::{Artist, Gallery};
@@ -84,6 +84,10 @@ struct Record<'a> {
     height: u32,
     mm_per_pixel: f32,
     detections: &'a [Detection],
+    /// Whether something touches the gel; null where nobody looked.
+    contact: Option<bool>,
+    /// The parts of the picture that the network looked at; null for all of it.
+    regions: Option<&'a [Rect]>,
     timings_ms: Timings<'a>,
     adapter: &'a str,
     /// The choice of kernels: where it is equal, so are the bits.
@@ -232,6 +236,8 @@ fn record<'a>(source: &Source, found: &'a Detections, detector: &'a GpuDetector)
         height: found.height,
         mm_per_pixel: found.mm_per_pixel,
         detections: &found.detections,
+        contact: found.contact,
+        regions: found.regions.as_deref(),
         timings_ms: Timings { stages: &found.stages, total: found.wall.as_secs_f64() * 1e3 },
         adapter: detector.adapter(),
         kernels: format!("{:016x}", detector.choice().digest()),

@@ -3,8 +3,11 @@
 use std::time::Duration;
 
 use crate::comparison::{ChoiceComparison, Shift, StageComparison};
+use crate::frame::Rect;
 use crate::graph::StageTime;
 
+#[cfg(doc)]
+use crate::detector::Scene;
 #[cfg(doc)]
 use crate::model::ModelConfig;
 
@@ -47,6 +50,16 @@ pub struct Detections {
     pub height: u32,
     /// Millimetres on the gel for a pixel of the picture: the sensor's, or what was assumed.
     pub mm_per_pixel: f32,
+    /// Whether something touches the gel; `None` if nobody looked, which [`Scene`] decides. Where nothing
+    /// does, the network did not run.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub contact: Option<bool>,
+    /// The parts of the frame that the network looked at, with what is in contact; `None` for all of it.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub regions: Option<Vec<Rect>>,
+    /// Whether the frame is as one before it in a stream, so that its detections are that one's.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub reused: bool,
     /// How many proposals the last stage looked at.
     pub proposals: u32,
     /// Time by stage on the device; empty where it has no timestamps.

@@ -1,18 +1,14 @@
-//! What runs the network for a detector: a GPU's slots, the CPU, or the reference.
+//! The network for one size of input, and what runs it.
 
 use std::sync::Arc;
-#[cfg(feature = "cpu")]
-use std::sync::{Mutex, PoisonError};
 
 use crate::comparison::Values;
-use crate::detector::pool::Pool;
-use crate::detector::{Config, Device};
+use crate::detector::Config;
+use crate::detector::runner::Runner;
 use crate::error::Result;
-use crate::gpu::{Deadline, Gpu, Program, ProgramOptions};
+use crate::gpu::{Deadline, Gpu};
 use crate::graph::{StageTime, TensorId};
-#[cfg(feature = "cpu")]
-use crate::host::HostPlan;
-use crate::lower::{Choice, Request, lower};
+use crate::lower::Choice;
 use crate::model::Network;
 use crate::tensor::Value;
 use crate::tune::{Place, Tuned};
@@ -22,13 +18,6 @@ pub(super) struct Engine {
     pub network: Network,
     runner: Runner,
     keep: Vec<TensorId>,
-}
-
-enum Runner {
-    Gpu(Pool),
-    #[cfg(feature = "cpu")]
-    Host(Box<Mutex<HostPlan>>),
-    Reference,
 }
 
 impl Engine {
@@ -45,23 +34,8 @@ impl Engine {
             true => network.graph.computed(),
             false => Vec::new(),
         };
-        let runner = match (gpu, &config.device) {
-            (Some(gpu), _) => {
-                let request = Request { keep: &keep, batch: 1, caps: gpu.caps(), choice };
-                let lowered = lower(&network.graph, &request)?;
-                let like = like.and_then(|engine| match &engine.runner {
-                    Runner::Gpu(pool) => Some(pool.program()),
-                    _ => None,
-                });
-                let program = Program::new(gpu, &lowered, like, ProgramOptions::default()).await?;
-                Runner::Gpu(Pool::new(Arc::new(program), config.in_flight).await?)
-            }
-            (None, Device::Reference) => Runner::Reference,
-            #[cfg(feature = "cpu")]
-            (None, _) => Runner::Host(Box::new(Mutex::new(HostPlan::new(&network.graph, &keep)?))),
-            #[cfg(not(feature = "cpu"))]
-            (None, _) => Runner::Reference,
-        };
+        let like = like.map(|engine| &engine.runner);
+        let runner = Runner::new(config, &network.graph, &keep, gpu, choice, like).await?;
         if !matches!(runner, Runner::Reference) && !config.keep_stages {
             network.graph.forget_constants();
         }
@@ -70,10 +44,7 @@ impl Engine {
 
     /// The kernel of each operation, in order; none but on a GPU.
     pub fn kernels(&self) -> &[&'static str] {
-        match &self.runner {
-            Runner::Gpu(pool) => pool.program().kernels(),
-            _ => &[],
-        }
+        self.runner.kernels()
     }
 
     /// Whether a GPU runs the network.
@@ -88,20 +59,7 @@ impl Engine {
         inputs: &[(TensorId, &Value)],
         deadline: Deadline,
     ) -> Result<(Values, Vec<StageTime>)> {
-        match &self.runner {
-            Runner::Reference => self.network.graph.reference(inputs, &self.keep),
-            #[cfg(feature = "cpu")]
-            Runner::Host(plan) => {
-                let mut plan = plan.lock().unwrap_or_else(PoisonError::into_inner);
-                plan.run(&self.network.graph, inputs)
-            }
-            Runner::Gpu(pool) => {
-                let mut slot = pool.take(deadline).await?;
-                slot.submit(&[inputs])?;
-                let mut run = slot.receive(deadline).await?;
-                Ok((run.first(), run.stages))
-            }
-        }
+        self.runner.run(&self.network.graph, &self.keep, inputs, deadline).await
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use crate::detector::contact;
 use crate::detector::engine::{self, Engine};
 use crate::detector::{Config, Device, WeightSource};
 use crate::error::{Error, Result};
@@ -9,8 +10,9 @@ use crate::gpu::{AdapterChoice, Gpu, GpuOptions};
 use crate::lower::Choice;
 use crate::model::{ModelConfig, Network, Thresholds, Weights};
 
-/// Sizes that are kept ready; of one more, the one that was not used for longest goes.
-const MOST: usize = 4;
+/// Sizes that are kept ready, parts of pictures among them; of one more, the one that was not used for
+/// longest goes.
+const MOST: usize = 12;
 
 /// A device, and an engine on it for each size.
 pub(super) struct Engines {
@@ -27,6 +29,8 @@ pub(super) struct Engines {
     pub remarks: Vec<String>,
     /// Height and width, the last used last.
     ready: Mutex<Vec<([usize; 2], Arc<Engine>)>>,
+    /// What looks for contact.
+    looks: Mutex<Vec<Arc<contact::Detector>>>,
     /// Held while one is built.
     building: Mutex<()>,
 }
@@ -63,6 +67,7 @@ impl Engines {
             choice,
             remarks,
             ready: Mutex::default(),
+            looks: Mutex::default(),
             building: Mutex::default(),
         })
     }
@@ -105,6 +110,27 @@ impl Engines {
             ready.remove(0);
         }
         Ok(engine)
+    }
+
+    /// What looks for contact; built first if no picture asked for it lately. Building blocks this thread.
+    ///
+    /// # Errors
+    /// As [`Engine::new`].
+    pub fn contact(&self, kind: contact::Kind) -> Result<Arc<contact::Detector>> {
+        let _one = self.building.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut looks = self.looks.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(at) = looks.iter().position(|look| look.kind == kind) {
+            let found = looks.remove(at);
+            looks.push(found.clone());
+            return Ok(found);
+        }
+        let look = contact::Detector::new(&self.config, kind, self.gpu.as_ref(), &self.choice);
+        let look = Arc::new(pollster::block_on(look)?);
+        looks.push(look.clone());
+        if looks.len() > MOST {
+            looks.remove(0);
+        }
+        Ok(look)
     }
 
     fn find(&self, size: [usize; 2]) -> Option<Arc<Engine>> {

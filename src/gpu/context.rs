@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use crate::error::{Error, Result};
@@ -214,7 +214,15 @@ fn wanted_features() -> wgpu::Features {
     wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::SUBGROUP
 }
 
-fn instance() -> wgpu::Instance {
+/// The process's one instance. It is never dropped: with the last one the Vulkan loader unloads the
+/// driver, and what lavapipe leaves to be called at the process's end is then no longer there, which
+/// ended one in twenty programs that stopped soon after their device.
+fn instance() -> &'static wgpu::Instance {
+    static INSTANCE: OnceLock<wgpu::Instance> = OnceLock::new();
+    INSTANCE.get_or_init(new_instance)
+}
+
+fn new_instance() -> wgpu::Instance {
     let mut desc = wgpu::InstanceDescriptor::new_without_display_handle();
     desc.backends = wgpu::Backends::PRIMARY;
     // `indirect_grid` keeps to the limits, and nothing that is dispatched so reads how many workgroups

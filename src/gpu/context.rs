@@ -219,16 +219,15 @@ fn wanted_features() -> wgpu::Features {
 /// ended one in twenty programs that stopped soon after their device.
 fn instance() -> &'static wgpu::Instance {
     static INSTANCE: OnceLock<wgpu::Instance> = OnceLock::new();
-    INSTANCE.get_or_init(new_instance)
-}
-
-fn new_instance() -> wgpu::Instance {
-    let mut desc = wgpu::InstanceDescriptor::new_without_display_handle();
-    desc.backends = wgpu::Backends::PRIMARY;
-    // `indirect_grid` keeps to the limits, and nothing that is dispatched so reads how many workgroups
-    // there are (`Program` refuses it): wgpu need not look at every grid once more on the device.
-    desc.flags.remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
-    wgpu::Instance::new(desc)
+    INSTANCE.get_or_init(|| {
+        let mut desc = wgpu::InstanceDescriptor::new_without_display_handle();
+        desc.backends = wgpu::Backends::PRIMARY;
+        // `indirect_grid` keeps to the limits, and nothing that is dispatched so reads how many
+        // workgroups there are (`Program` refuses it): wgpu need not look at every grid once more on
+        // the device.
+        desc.flags.remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
+        wgpu::Instance::new(desc)
+    })
 }
 
 fn rank(info: &wgpu::AdapterInfo) -> u8 {

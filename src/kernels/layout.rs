@@ -45,9 +45,9 @@ pub struct Quads {
 }
 
 impl Quads {
-    /// The arrangement of a map for `batch` pictures, stored in `precision`; `None` for what is no map `[C, H, W]`, is too
-    /// large for the adapter's textures however it is arranged, or has more rows of quads than a
-    /// dimension of a grid has workgroups.
+    /// The arrangement of a map for `batch` pictures, stored in `precision`; `None` for what is no map
+    /// `[C, H, W]`, is too large for the adapter's textures however it is arranged, or has more rows of
+    /// quads than a dimension of a grid has workgroups.
     pub fn of(spec: &TensorSpec, precision: Precision, batch: u32, caps: &Caps) -> Option<Self> {
         let [channels, height, width] = <[usize; 3]>::try_from(spec.shape.0.as_slice()).ok()?;
         let [channels, height, width] =

@@ -314,7 +314,7 @@ impl Layout<'_> {
         let Some(shape) = Distractor::sample_wide(self.rng, part) else { return };
         let depth_mm = match shape {
             // A ball is calibrated with: as deep as its half sphere, so that its whole outline shows.
-            Distractor::Pin { radius, fillet } if fillet == radius && self.rng.random_bool(0.6) => {
+            Distractor::Pin { radius, .. } if part == Part::Ball && self.rng.random_bool(0.6) => {
                 (radius * self.rng.random_range(0.4..1.0)).min(DEEPEST_MM)
             }
             _ if self.rng.random_bool(0.25) => self.rng.random_range(0.1..0.6),

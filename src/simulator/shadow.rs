@@ -35,8 +35,8 @@ const STEEPEST: f64 = 1.5;
 ///
 /// `soft_mm` is the least width of a shadow's edge on flat gel, `size` half the angle over which the
 /// lamp reaches up and down, in radians. One pass from the light's side keeps the height below which
-/// the lamp's upper end is hidden, which falls by the slope of its rays from cell to cell, and the
-/// distance from what hides it.
+/// the lamp's lower end is hidden, which falls by the slope of its rays from cell to cell, and how far
+/// below that its upper end is hidden too, which grows with the distance from what hides it.
 ///
 /// # Panics
 /// If `heights` is not as long as the grid.

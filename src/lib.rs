@@ -105,7 +105,9 @@ pub mod tensor;
 pub mod tradeoff;
 pub mod tune;
 
-pub use detector::{Comparison, Config, Detection, Detections, Device, GpuDetector, WeightSource};
+pub use detector::{
+    Comparison, Config, Detection, Detections, Device, GpuDetector, Scene, Stream, WeightSource,
+};
 pub use error::{Error, Result};
 pub use frame::{Frame, PixelFormat, Rect};
 /// The crate whose pictures [`GpuDetector::detect`] takes.

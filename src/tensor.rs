@@ -100,6 +100,14 @@ pub enum Value {
 }
 
 impl Value {
+    /// How many elements it has.
+    pub fn elements(&self) -> usize {
+        match self {
+            Self::F32(tensor) => tensor.data().len(),
+            Self::U32(tensor) => tensor.data().len(),
+        }
+    }
+
     /// Shape and element type.
     pub fn spec(&self) -> TensorSpec {
         match self {

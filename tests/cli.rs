@@ -304,7 +304,9 @@ fn bad_pictures_are_named_and_good_ones_go_through() {
         let fields: Vec<&String> = record.as_object().expect("an object").keys().collect();
         let size = ["height", "mm_per_pixel", "width"];
         let mut all =
-            ["adapter", "detections", "file", "kernels", "precision", "timings_ms"].to_vec();
+            ["adapter", "contact", "detections", "file", "kernels", "precision", "timings_ms"]
+                .to_vec();
+        all.extend(["left_out", "regions"]);
         all.extend(size);
         all.sort_unstable();
         assert_eq!(fields, all);

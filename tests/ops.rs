@@ -9,6 +9,8 @@ mod apply_gates;
 mod channel_gate;
 #[path = "ops/channel_pool.rs"]
 mod channel_pool;
+#[path = "ops/contact.rs"]
+mod contact;
 #[path = "ops/conv2d.rs"]
 mod conv2d;
 #[path = "ops/crop_resize.rs"]

@@ -31,6 +31,9 @@ const PROBES: [&str; 13] = [
 /// The probes that are legal, by operation and parameter; for a list, of each of its elements.
 /// Whoever adds a parameter says here what it takes.
 const LEGAL: &[(&str, &str, &[&str])] = &[
+    ("contact", "least", &["0", "-0", "0.5", "1e38", "1e-45", "4294967295", "4294967296"]),
+    ("contact", "most", &["0", "-0", "0.5", "1e38", "1e-45", "4294967295", "4294967296"]),
+    ("contact", "clipped", &["0", "-0", "0.5", "1e38", "1e-45", "4294967295", "4294967296"]),
     ("conv2d", "stride", &[]),
     ("conv2d", "padding", &["0"]),
     ("conv2d", "dilation", &[]),
@@ -124,7 +127,7 @@ fn every_parameter_is_declared_and_told() {
             let inner = debug.split_once('{').map_or("", |(_, fields)| fields);
             let fields = inner.split([',', '{']).filter_map(|f| f.split_once(':'));
             for field in fields.map(|(name, _)| name.trim()) {
-                let tensor = ["bias", "residual", "count", "classes"].contains(&field);
+                let tensor = ["bias", "residual", "count", "classes", "reference"].contains(&field);
                 assert!(tensor || told.contains(&field), "{}: `{field}` is not told", entry.name);
             }
         }

@@ -166,7 +166,13 @@ fn a_choice_by_rounding_is_no_failure() {
 #[test]
 fn buffer_reuse_changes_no_bit() {
     let weights = Weights::open(&file("weights/smrnet.safetensors")).expect("the weights");
-    let thresholds = Thresholds { score: 0.05, iou: 0.5, max_detections: 100, class_mask: 3 };
+    let thresholds = Thresholds {
+        score: 0.05,
+        iou: 0.5,
+        max_detections: 100,
+        class_mask: 3,
+        least_objectness: f32::NEG_INFINITY,
+    };
     let rgba = first_sample().to_rgba8();
     let (width, height) = (rgba.width() as usize, rgba.height() as usize);
     let network = Network::new(weights, [320; 2], thresholds).expect("a network");
@@ -225,7 +231,13 @@ fn small_config(variant: Variant) -> ModelConfig {
 fn bounds_checks_change_no_bit() {
     let full = Variant { safe: true, msff: true, rw: true };
     let weights = Weights::random(small_config(full), 7);
-    let thresholds = Thresholds { score: 0.0, iou: 0.5, max_detections: 100, class_mask: u32::MAX };
+    let thresholds = Thresholds {
+        score: 0.0,
+        iou: 0.5,
+        max_detections: 100,
+        class_mask: u32::MAX,
+        least_objectness: f32::NEG_INFINITY,
+    };
     let network = Network::new(weights, [64; 2], thresholds).expect("a network");
     let pixel = |i| (i as u32).wrapping_mul(2_654_435_761);
     let picture = Value::from(Tensor::from_fn([80 * 70], pixel));
@@ -266,8 +278,13 @@ fn every_variant_matches_its_reference_and_pytorch() {
     ];
     for (label, variant) in variants {
         let weights = Weights::random(small_config(variant), 7);
-        let thresholds =
-            Thresholds { score: 0.0, iou: 0.5, max_detections: 100, class_mask: u32::MAX };
+        let thresholds = Thresholds {
+            score: 0.0,
+            iou: 0.5,
+            max_detections: 100,
+            class_mask: u32::MAX,
+            least_objectness: f32::NEG_INFINITY,
+        };
         let network = Network::new(weights, [64; 2], thresholds).expect("a network");
         let graph = &network.graph;
         let pixel = |i| (i as u32).wrapping_mul(2_654_435_761);
@@ -284,7 +301,7 @@ fn every_variant_matches_its_reference_and_pytorch() {
         let slot = Slot::of(support::gpu(), graph, &keep, options);
         let mut slot = pollster::block_on(slot).expect("a slot");
         let got = slot.run(&inputs).expect("a run").first();
-        let mut plan = HostPlan::new(graph, &keep).expect("a plan");
+        let mut plan = HostPlan::new(graph, &keep, None).expect("a plan");
         let (host, _) = plan.run(graph, &inputs).expect("a run");
         for (name, rows) in [
             ("rpn.cls", None),

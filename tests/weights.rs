@@ -13,8 +13,13 @@ use smr_gpu::tensor::{Tensor, Value};
 const CLASSES: usize = 2;
 const ANCHORS: usize = 6;
 const REDUCTION: usize = 16;
-const THRESHOLDS: Thresholds =
-    Thresholds { score: 0.0, iou: 0.5, max_detections: 100, class_mask: u32::MAX };
+const THRESHOLDS: Thresholds = Thresholds {
+    score: 0.0,
+    iou: 0.5,
+    max_detections: 100,
+    class_mask: u32::MAX,
+    least_objectness: f32::NEG_INFINITY,
+};
 
 fn config(variant: Variant) -> Json {
     json!({

@@ -10,7 +10,7 @@ use smr_gpu::detector::Stages;
 use smr_gpu::files::Outputs;
 use smr_gpu::graph::StageTime;
 use smr_gpu::tradeoff::Limit;
-use smr_gpu::{Detection, Detections, Frame, GpuDetector, Precision, WeightSource};
+use smr_gpu::{Detection, Detections, Frame, GpuDetector, Precision, Rect, WeightSource};
 
 use super::detector::{self, DetectorArgs, fraction};
 use super::draw::{Artist, Gallery};
@@ -84,6 +84,12 @@ struct Record<'a> {
     height: u32,
     mm_per_pixel: f32,
     detections: &'a [Detection],
+    /// Whether something touches the gel; null where nobody looked.
+    contact: Option<bool>,
+    /// The parts of the picture that the network looked at; null for all of it.
+    regions: Option<&'a [Rect]>,
+    /// What was left out, and why.
+    left_out: Vec<String>,
     timings_ms: Timings<'a>,
     adapter: &'a str,
     precision: Precision,
@@ -170,7 +176,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         }
         // A file that cannot be written takes none of the other results with it.
         if let Some(gallery) = &mut gallery {
-            let drawn = artist.draw(&picture, &found.detections);
+            let drawn = artist.draw_found(&picture, &found);
             exit = exit.max(told(gallery.save(&mut outputs, source, &drawn)));
         }
         if let Some(file) = &args.dump_stages {
@@ -236,6 +242,9 @@ fn record<'a>(source: &Source, found: &'a Detections, detector: &'a GpuDetector)
         height: found.height,
         mm_per_pixel: found.mm_per_pixel,
         detections: &found.detections,
+        contact: found.contact,
+        regions: found.regions.as_deref(),
+        left_out: detector.scene().left_out(found),
         timings_ms: Timings { stages: &found.stages, total: found.wall.as_secs_f64() * 1e3 },
         adapter: detector.adapter(),
         precision: found.precision,

@@ -6,7 +6,9 @@ use std::time::Duration;
 
 use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions};
 use smr_gpu::model::ModelConfig;
-use smr_gpu::{Config, Device, Error, GpuDetector, Precision, Sensor};
+use smr_gpu::{
+    Config, Device, Error, Frame, GpuDetector, PixelFormat, Precision, Scene, Sensor, picture,
+};
 
 use super::exit::{Exit, Failure};
 use super::output::tell;
@@ -62,12 +64,30 @@ pub(super) struct DetectorArgs {
     #[arg(long, value_name = "f32|f16")]
     precision: Option<Precision>,
 
+    /// What may be left out where a picture does not need it, separated by commas: `contact`, the
+    /// network where nothing touches the gel; `regions`, the gel round what touches it;
+    /// `proposals`, places that are hardly a snap.
+    #[arg(long, value_name = "WHAT,…", value_delimiter = ',')]
+    leave_out: Vec<Saving>,
+
+    /// Leave nothing out.
+    #[arg(long, conflicts_with = "leave_out")]
+    exact: bool,
+
     /// Longest wait for one picture on a GPU, in seconds.
     #[arg(long, default_value = "120", value_name = "SECONDS", value_parser = seconds)]
     timeout: Duration,
 
     #[command(flatten)]
     device: DeviceArgs,
+}
+
+/// A saving of [`Scene`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Saving {
+    Contact,
+    Regions,
+    Proposals,
 }
 
 /// Longest time limit: a day, which every clock and driver counts.
@@ -134,15 +154,39 @@ impl DetectorArgs {
         }
     }
 
+    /// What may be left out.
+    fn scene(&self) -> Scene {
+        let has = |saving| self.leave_out.contains(&saving);
+        match (self.exact, &self.leave_out[..]) {
+            (true, _) => Scene::FULL,
+            (false, []) => Scene::default(),
+            (false, _) => Scene {
+                contact: has(Saving::Contact),
+                regions: has(Saving::Regions),
+                proposals: has(Saving::Proposals),
+                ..Scene::FULL
+            },
+        }
+    }
+
     /// The library's configuration for these options.
     ///
     /// # Errors
-    /// [`Exit::Weights`] if there is no weight file.
+    /// [`Exit::Weights`] if there is no weight file, [`Exit::Inputs`] if the sensor's reference frame cannot
+    /// be read.
     pub fn config(&self) -> Result<Config, Failure> {
         let mut config = Config::new(weight_file(self.weights.as_deref())?);
         config.iou = self.iou;
         config.input_size = self.size;
         config.sensor = self.sensor()?;
+        config.scene = self.scene();
+        if let Some(file) = config.sensor.as_ref().and_then(|sensor| sensor.reference.clone()) {
+            let failed = |e| Failure::new(Exit::Inputs, format!("{}: {e}", file.display()));
+            let picture = picture::read(&file).map_err(failed)?.into_rgb8();
+            let (width, height) = picture.dimensions();
+            let frame = Frame::new(picture.into_raw(), width, height, PixelFormat::Rgb8);
+            config = config.reference(frame);
+        }
         config.timeout = self.timeout;
         config.precision = self.precision.unwrap_or_default();
         config.device = self.device.device.clone();

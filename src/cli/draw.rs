@@ -10,8 +10,8 @@ use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
 use imageproc::drawing::{draw_filled_rect_mut, draw_polygon_mut, draw_text_mut, text_size};
 use imageproc::point::Point;
 use imageproc::rect::Rect;
-use smr_gpu::Detection;
 use smr_gpu::files::{self, Outputs};
+use smr_gpu::{Detection, Detections};
 
 use super::exit::{Exit, Failure};
 use super::source::Source;
@@ -40,6 +40,13 @@ impl<'a> Artist<'a> {
     pub fn new(classes: &'a [String]) -> Self {
         let font = FontRef::try_from_slice(FONT).expect("the font in the program is whole");
         Self { font, classes }
+    }
+
+    /// The picture with what was found in it, dark where nobody looked.
+    pub fn draw_found(&self, picture: &DynamicImage, found: &Detections) -> RgbImage {
+        let mut seen = picture.to_rgb8();
+        darken(&mut seen, found.regions.as_deref());
+        self.draw(&seen.into(), &found.detections)
     }
 
     /// The picture with the detections in it, the best on top.
@@ -102,6 +109,19 @@ impl<'a> Artist<'a> {
         let (x, y) = (x1.min(most_x).max(0), y.min(most_y).max(0));
         fill(canvas, x, y, width, height, colour);
         draw_text_mut(canvas, BLACK, x + pad, y + pad, letters, &self.font, &text);
+    }
+}
+
+/// Halves the levels of what the network did not look at.
+fn darken(canvas: &mut RgbImage, regions: Option<&[smr_gpu::Rect]>) {
+    let Some(regions) = regions else { return };
+    for (x, y, pixel) in canvas.enumerate_pixels_mut() {
+        let seen = regions
+            .iter()
+            .any(|r| (r.x..r.x + r.width).contains(&x) && (r.y..r.y + r.height).contains(&y));
+        if !seen {
+            pixel.0 = pixel.0.map(|level| level / 2);
+        }
     }
 }
 
@@ -250,6 +270,18 @@ mod tests {
             }
         }
         found
+    }
+
+    #[test]
+    fn what_nobody_looked_at_is_dark() {
+        let mut canvas = RgbImage::from_pixel(4, 2, Rgb([100, 51, 0]));
+        darken(&mut canvas, None);
+        assert!(canvas.pixels().all(|pixel| *pixel == Rgb([100, 51, 0])));
+        let seen = [smr_gpu::Rect { x: 1, y: 0, width: 2, height: 1 }];
+        darken(&mut canvas, Some(&seen));
+        let dark = |x, y| *canvas.get_pixel(x, y) == Rgb([50, 25, 0]);
+        assert_eq!([0, 1, 2, 3].map(|x| dark(x, 0)), [true, false, false, true]);
+        assert!((0..4).all(|x| dark(x, 1)));
     }
 
     #[test]

@@ -47,6 +47,11 @@ pub(super) struct Args {
     #[arg(long, value_enum, default_value_t = Conditions::Plain)]
     conditions: Conditions,
 
+    /// Draw the frames of one press in their order, 500 for each: a snap comes, presses, rests, slides and
+    /// goes, under light that drifts (plain conditions).
+    #[arg(long, conflicts_with_all = ["sensor", "part", "force"])]
+    press: bool,
+
     /// Draw the pictures that one sensor takes: `paper`, `gelsight-mini` or a sensor file (JSON), as
     /// `smr-gpu calibrate` writes. Frame, gel, scale, distortion and, if the file has them, light, markers
     /// and the untouched gel's picture are the sensor's. Plain conditions leave all else as on the
@@ -140,6 +145,8 @@ enum Kind {
     Mixed,
     /// No snaps: other things, or an untouched gel.
     None,
+    /// An untouched gel, with its dust, scratches and stains.
+    Bare,
 }
 
 impl From<Kind> for Mix {
@@ -149,15 +156,21 @@ impl From<Kind> for Mix {
             Kind::B => Self::B,
             Kind::Mixed => Self::Mixed,
             Kind::None => Self::None,
+            Kind::Bare => Self::Bare,
         }
     }
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    let Args { out, count, seed, kind, conditions, sensor, part, mut force } = args;
+    let Args { out, count, seed, kind, conditions, press, sensor, part, mut force } = args;
     let plain = conditions == Conditions::Plain;
     if plain && sensor.is_none() && (part.is_some() || force != Forced::default()) {
         return Err(Failure::usage("--part and --force need --conditions wide or --sensor"));
+    }
+    if press && (!plain || matches!(kind, Kind::None | Kind::Bare)) {
+        return Err(Failure::usage(
+            "--press needs --conditions plain and a snap: --kind a, b or mixed",
+        ));
     }
     if sensor.is_some() && force.frame.or(force.scale.map(|_| Frame::PAPER)).is_some() {
         return Err(Failure::usage("--force: expected no frame or scale beside --sensor, got one"));
@@ -171,7 +184,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         false => Distribution::Wide,
     };
     let (mix, part) = (kind.into(), part.map(Part::from));
-    let request = Request { mix, conditions, part, forced: force, sensor };
+    let request = Request { mix, conditions, part, forced: force, sensor, press };
     let settings = Settings { out, count: count as usize, seed, request };
     let bar = ProgressBar::new(count.into());
     let style = ProgressStyle::with_template("{msg} {bar:40} {pos}/{len} pictures, {eta} left");

@@ -19,7 +19,13 @@ fn bytes() -> Vec<u8> {
 fn network(bytes: &[u8], iou: f32) -> Network {
     let weights = Weights::from_bytes(Path::new("weights"), bytes).expect("weights");
     // Every box counts, so that each stage has something to lose.
-    let thresholds = Thresholds { score: 0.0, iou, max_detections: 100, class_mask: u32::MAX };
+    let thresholds = Thresholds {
+        score: 0.0,
+        iou,
+        max_detections: 100,
+        class_mask: u32::MAX,
+        least_objectness: f32::NEG_INFINITY,
+    };
     Network::new(weights, [SIZE; 2], thresholds).expect("a network")
 }
 

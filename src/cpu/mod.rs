@@ -5,6 +5,7 @@
 mod apply_gates;
 mod channel_gate;
 mod channel_pool;
+mod contact;
 mod conv2d;
 mod crop_resize;
 mod decode_detections;
@@ -30,6 +31,7 @@ mod weighted_sum;
 pub use apply_gates::apply_gates;
 pub use channel_gate::channel_gate;
 pub use channel_pool::channel_pool;
+pub use contact::{ContactRule, contact};
 pub use conv2d::{ConvShape, conv2d};
 pub use crop_resize::{Crop, crop_resize, triangle_filter};
 pub use decode_detections::{DetectionRule, decode_detections};

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use crate::detector::Scene;
 use crate::error::{Error, Result};
+use crate::frame::Frame;
 use crate::gpu::{AdapterChoice, Faults, GpuOptions};
 use crate::lower::Choice;
 use crate::model::{ModelConfig, Thresholds};
@@ -112,6 +114,11 @@ pub struct Config {
     /// Longer side of the gel in the network's input, in pixels; `None` for the scale that the weights
     /// know. The input has as many as the next multiple of 32.
     pub input_size: Option<usize>,
+    /// What is left out where a picture does not need it.
+    pub scene: Scene,
+    /// A frame of the sensor without contact, with which others are compared where `scene` looks for
+    /// contact; without one, or for frames of another size, the frame's own smooth background serves.
+    pub reference: Option<Arc<Frame<'static>>>,
     /// A detection's score must be above this; in `[0, 1]`.
     pub score: f32,
     /// Of two detections of a class whose intersection over union is above this, the lower goes; in
@@ -139,7 +146,8 @@ pub struct Config {
     pub choices: Option<PathBuf>,
     /// Let wgpu check the shaders' bounds (slower; see [`GpuOptions::checked`]).
     pub checked: bool,
-    /// Keep every stage's tensor, for [`GpuDetector::detect_with_stages`]; takes more memory.
+    /// Keep every stage's tensor, for [`GpuDetector::detect_with_stages`]; takes more memory, and nothing
+    /// of a picture is left out.
     pub keep_stages: bool,
     /// For tests: calls to the device that fail.
     #[doc(hidden)]
@@ -163,6 +171,8 @@ impl Config {
             device: Device::default(),
             sensor: None,
             input_size: None,
+            scene: Scene::default(),
+            reference: None,
             score: 0.05,
             iou: 0.5,
             max_detections: MAX_DETECTIONS,
@@ -194,6 +204,18 @@ impl Config {
     /// Sets [`Config::input_size`].
     pub fn input_size(mut self, pixels: usize) -> Self {
         self.input_size = Some(pixels);
+        self
+    }
+
+    /// Sets [`Config::scene`].
+    pub fn scene(mut self, scene: Scene) -> Self {
+        self.scene = scene;
+        self
+    }
+
+    /// Sets [`Config::reference`].
+    pub fn reference(mut self, frame: Frame<'static>) -> Self {
+        self.reference = Some(Arc::new(frame));
         self
     }
 
@@ -276,6 +298,7 @@ impl Config {
                 return Err(Error::param("detect", name, "a number from 0 to 1", value));
             }
         }
+        self.scene.check()?;
         if !(1..=MAX_DETECTIONS).contains(&self.max_detections) {
             let got = self.max_detections;
             return Err(Error::param("detect", "max_detections", "1 to 100", got));
@@ -296,6 +319,7 @@ impl Config {
             iou: self.iou,
             max_detections: self.max_detections,
             class_mask,
+            least_objectness: self.scene.least_objectness(),
         })
     }
 }

@@ -3,11 +3,12 @@
 use std::time::Duration;
 
 use crate::comparison::{ChoiceComparison, Shift, StageComparison};
+use crate::frame::Rect;
 use crate::graph::StageTime;
 use crate::precision::Precision;
 
 #[cfg(doc)]
-use crate::detector::Config;
+use crate::detector::{Config, Scene};
 #[cfg(doc)]
 use crate::model::ModelConfig;
 
@@ -53,6 +54,16 @@ pub struct Detections {
     /// How a GPU stored maps and weights: f32 also where [`Config::precision`] says f16, but the picture
     /// overflowed that.
     pub precision: Precision,
+    /// Whether something touches the gel; `None` if nobody looked, which [`Scene`] decides. Where nothing
+    /// does, the network did not run.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub contact: Option<bool>,
+    /// The parts of the frame that the network looked at, with what is in contact; `None` for all of it.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub regions: Option<Vec<Rect>>,
+    /// Whether the frame is as one before it in a stream, so that its detections are that one's.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub reused: bool,
     /// How many proposals the last stage looked at.
     pub proposals: u32,
     /// Time by stage on the device; empty where it has no timestamps.

@@ -1,18 +1,14 @@
-//! What runs the network for a detector: a GPU's slots, the CPU, or the reference.
+//! The network for one size of input, and what runs it.
 
 use std::sync::Arc;
-#[cfg(feature = "cpu")]
-use std::sync::{Mutex, PoisonError};
 
 use crate::comparison::{How, Values};
-use crate::detector::pool::Pool;
-use crate::detector::{Config, Device};
+use crate::detector::Config;
+use crate::detector::runner::Runner;
 use crate::error::Result;
-use crate::gpu::{Deadline, Gpu, Program, ProgramOptions};
+use crate::gpu::{Deadline, Gpu};
 use crate::graph::{StageTime, TensorId};
-#[cfg(feature = "cpu")]
-use crate::host::HostPlan;
-use crate::lower::{Choice, Request, lower};
+use crate::lower::Choice;
 use crate::model::Network;
 use crate::precision::Precision;
 use crate::tensor::Value;
@@ -23,13 +19,6 @@ pub(super) struct Engine {
     pub network: Network,
     runner: Runner,
     keep: Vec<TensorId>,
-}
-
-enum Runner {
-    Gpu(Pool),
-    #[cfg(feature = "cpu")]
-    Host(Box<Mutex<HostPlan>>),
-    Reference,
 }
 
 impl Engine {
@@ -46,24 +35,8 @@ impl Engine {
             true => network.graph.computed(),
             false => Vec::new(),
         };
-        let runner = match (gpu, &config.device) {
-            (Some((gpu, precision)), _) => {
-                let caps = gpu.caps();
-                let request = Request { keep: &keep, batch: 1, precision, caps, choice };
-                let lowered = lower(&network.graph, &request)?;
-                let like = like.and_then(|engine| match &engine.runner {
-                    Runner::Gpu(pool) => Some(pool.program()),
-                    _ => None,
-                });
-                let program = Program::new(gpu, &lowered, like, ProgramOptions::default()).await?;
-                Runner::Gpu(Pool::new(Arc::new(program), config.in_flight).await?)
-            }
-            (None, Device::Reference) => Runner::Reference,
-            #[cfg(feature = "cpu")]
-            (None, _) => Runner::Host(Box::new(Mutex::new(HostPlan::new(&network.graph, &keep)?))),
-            #[cfg(not(feature = "cpu"))]
-            (None, _) => Runner::Reference,
-        };
+        let like = like.map(|engine| &engine.runner);
+        let runner = Runner::new(config, &network.graph, &keep, gpu, choice, like).await?;
         if !matches!(runner, Runner::Reference) && !config.keep_stages {
             network.graph.forget_constants();
         }
@@ -72,14 +45,7 @@ impl Engine {
 
     /// How the network is run, as far as errors depend on it.
     pub fn how(&self) -> How<'_> {
-        match &self.runner {
-            Runner::Gpu(pool) => {
-                let program = pool.program();
-                let (kernels, precision) = (program.kernels(), program.precision());
-                How { kernels, precision, written: Some(program.stored()) }
-            }
-            _ => How::default(),
-        }
+        self.runner.how()
     }
 
     /// Whether a GPU runs the network.
@@ -94,20 +60,7 @@ impl Engine {
         inputs: &[(TensorId, &Value)],
         deadline: Deadline,
     ) -> Result<(Values, Vec<StageTime>)> {
-        match &self.runner {
-            Runner::Reference => self.network.graph.reference(inputs, &self.keep),
-            #[cfg(feature = "cpu")]
-            Runner::Host(plan) => {
-                let mut plan = plan.lock().unwrap_or_else(PoisonError::into_inner);
-                plan.run(&self.network.graph, inputs)
-            }
-            Runner::Gpu(pool) => {
-                let mut slot = pool.take(deadline).await?;
-                slot.submit(&[inputs])?;
-                let mut run = slot.receive(deadline).await?;
-                Ok((run.first(), run.stages))
-            }
-        }
+        self.runner.run(&self.network.graph, &self.keep, inputs, deadline).await
     }
 }
 

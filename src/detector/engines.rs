@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use crate::detector::contact;
 use crate::detector::engine::{self, Engine};
 use crate::detector::{Config, Device, WeightSource};
 use crate::error::{Error, Result};
@@ -10,8 +11,9 @@ use crate::lower::Choice;
 use crate::model::{ModelConfig, Network, Thresholds, Weights};
 use crate::precision::Precision;
 
-/// Sizes that are kept ready; of one more, the one that was not used for longest goes.
-const MOST: usize = 4;
+/// Sizes that are kept ready, parts of pictures among them; of one more, the one that was not used for
+/// longest goes.
+const MOST: usize = 12;
 
 /// What an engine is for: height and width of its input, and how it stores maps and weights.
 type Key = ([usize; 2], Precision);
@@ -31,6 +33,8 @@ pub(super) struct Engines {
     pub remarks: Vec<String>,
     /// By height, width and precision, the last used last.
     ready: Mutex<Vec<(Key, Arc<Engine>)>>,
+    /// What looks for contact.
+    looks: Mutex<Vec<Arc<contact::Detector>>>,
     /// Held while one is built.
     building: Mutex<()>,
 }
@@ -70,6 +74,7 @@ impl Engines {
             choice,
             remarks,
             ready: Mutex::default(),
+            looks: Mutex::default(),
             building: Mutex::default(),
         })
     }
@@ -126,6 +131,27 @@ impl Engines {
             ready.remove(0);
         }
         Ok(engine)
+    }
+
+    /// What looks for contact; built first if no picture asked for it lately. Building blocks this thread.
+    ///
+    /// # Errors
+    /// As [`Engine::new`].
+    pub fn contact(&self, kind: contact::Kind) -> Result<Arc<contact::Detector>> {
+        let _one = self.building.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut looks = self.looks.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(at) = looks.iter().position(|look| look.kind == kind) {
+            let found = looks.remove(at);
+            looks.push(found.clone());
+            return Ok(found);
+        }
+        let look = contact::Detector::new(&self.config, kind, self.gpu.as_ref(), &self.choice);
+        let look = Arc::new(pollster::block_on(look)?);
+        looks.push(look.clone());
+        if looks.len() > MOST {
+            looks.remove(0);
+        }
+        Ok(look)
     }
 
     fn find(&self, key: Key) -> Option<Arc<Engine>> {

@@ -4,9 +4,10 @@ use std::time::Instant;
 
 use crate::comparison::Values;
 use crate::cpu::Crop;
+use crate::detector::regions::{self, Found, Window};
 use crate::detector::{Detection, Detections};
 use crate::error::{Error, Result};
-use crate::frame::Frame;
+use crate::frame::{Frame, Rect};
 use crate::graph::{StageTime, TensorId};
 use crate::model::{ModelConfig, Network};
 use crate::precision::Precision;
@@ -50,8 +51,15 @@ pub(super) struct Input {
     pub start: Instant,
     pub view: View,
     pub geometry: Geometry,
-    pixels: Value,
+    /// The view's part, packed.
+    pub pixels: Value,
     crop: Value,
+}
+
+/// What the network gave for all of its input, or for a part.
+pub(super) struct Answer {
+    pub found: Vec<Found>,
+    pub proposals: u32,
 }
 
 impl Input {
@@ -60,19 +68,43 @@ impl Input {
     pub fn new(start: Instant, frame: &Frame, view: View, geometry: Geometry) -> Result<Self> {
         let pixels = frame.pixels(view.part)?;
         let (columns, rows) = (view.part.width as usize, view.part.height as usize);
-        let crop = Crop {
-            width: columns,
-            height: rows,
-            x: 0,
-            y: 0,
-            columns,
-            rows,
-            resized: geometry.resized,
-            window: [0; 2],
-        };
+        let resized = geometry.resized;
+        let window = [0; 2];
+        let crop =
+            Crop { width: columns, height: rows, x: 0, y: 0, columns, rows, resized, window };
         let crop = crop.to_tensor(pixels.len())?.into();
         let pixels = Tensor::new([pixels.len()], pixels)?.into();
         Ok(Self { start, view, geometry, pixels, crop })
+    }
+
+    /// The crop of a part of the network's input.
+    ///
+    /// # Errors
+    /// [`Error::Tensor`] for a window that begins behind the resized part.
+    pub fn part(&self, window: &Window) -> Result<Value> {
+        let all = Crop::from_tensor(self.crop.u32()?, self.pixels.elements())?;
+        let crop = Crop { window: [window.x, window.y], ..all };
+        Ok(crop.to_tensor(self.pixels.elements())?.into())
+    }
+
+    /// All of the network's input.
+    pub fn whole(&self) -> Window {
+        let [height, width] = self.geometry.size;
+        Window { x: 0, y: 0, width, height }
+    }
+
+    /// What the frame shows where a part of the network's input is.
+    pub fn rect(&self, window: &Window) -> Rect {
+        let part = self.view.part;
+        let side = |at: usize, length: usize, axis: usize, first: u32, full: u32| {
+            let scale = self.scale()[axis];
+            let from = ((at as f32 * scale) as u32).min(full - 1);
+            let to = (((at + length) as f32 * scale).ceil() as u32).min(full);
+            (first + from, to.saturating_sub(from).max(1))
+        };
+        let (x, width) = side(window.x, window.width, 0, part.x, part.width);
+        let (y, height) = side(window.y, window.height, 1, part.y, part.height);
+        Rect { x, y, width, height }
     }
 
     pub fn inputs(&self, network: &Network) -> [(TensorId, &Value); 2] {
@@ -92,21 +124,50 @@ impl Input {
         values: &Values,
         stages: Vec<StageTime>,
     ) -> Result<Detections> {
-        check_finite(network, values)?;
+        let Answer { found, proposals } = self.answer(network, values, &self.whole(), 0)?;
+        let found = found.into_iter().map(|found| found.detection).collect();
+        Ok(Detections { proposals, stages, ..self.report(found) })
+    }
+
+    /// These detections of the picture, and that nothing was left out.
+    pub fn report(&self, detections: Vec<Detection>) -> Detections {
         let [width, height] = self.view.frame;
-        Ok(Detections {
-            detections: self.collect(network, values)?,
+        Detections {
+            detections,
             width,
             height,
             mm_per_pixel: self.view.mm_per_pixel,
             precision: Precision::F32,
-            proposals: count_of(network, values, network.proposal_count)?,
-            stages,
+            contact: None,
+            regions: None,
+            reused: false,
+            proposals: 0,
+            stages: Vec::new(),
             wall: self.start.elapsed(),
-        })
+        }
     }
 
-    fn collect(&self, network: &Network, values: &Values) -> Result<Vec<Detection>> {
+    /// What the network's outputs say of part number `part`, which is `window`.
+    pub fn answer(
+        &self,
+        network: &Network,
+        values: &Values,
+        window: &Window,
+        part: usize,
+    ) -> Result<Answer> {
+        check_finite(network, values)?;
+        let found = self.collect(network, values, window, part)?;
+        let proposals = count_of(network, values, network.proposal_count)?;
+        Ok(Answer { found, proposals })
+    }
+
+    fn collect(
+        &self,
+        network: &Network,
+        values: &Values,
+        window: &Window,
+        part: usize,
+    ) -> Result<Vec<Found>> {
         let boxes = value(network, values, network.boxes)?.f32()?;
         let scores = value(network, values, network.scores)?.f32()?;
         let classes = value(network, values, network.classes)?.u32()?;
@@ -119,14 +180,16 @@ impl Input {
         let scale = self.scale();
         let origin = [self.view.part.x, self.view.part.y].map(|at| at as f32);
         let edge = self.geometry.resized.map(|side| side as f32);
+        let corner = [window.x, window.y].map(|at| at as f32);
         let rows = boxes.data().chunks_exact(4).zip(scores.data()).zip(classes.data());
         rows.take(count)
             .enumerate()
             .map(|(i, ((b, score), class))| {
+                let inside = std::array::from_fn(|k| b[k] + corner[k % 2]);
                 // What repeats the part's edge is no part of it.
-                let bbox = std::array::from_fn(|k| {
+                let bbox: [f32; 4] = std::array::from_fn(|k| {
                     let axis = k % 2;
-                    b[k].min(edge[axis]) * scale[axis] + origin[axis]
+                    inside[k].min(edge[axis]) * scale[axis] + origin[axis]
                 });
                 let center = [0, 1].map(|axis| (bbox[axis] + bbox[axis + 2]) / 2.0);
                 let class_index = (*class as usize).wrapping_sub(1);
@@ -136,7 +199,7 @@ impl Input {
                 })?;
                 let pose = poses.get(i);
                 let direction = pose.filter(|_| config.directed.contains(name));
-                Ok(Detection {
+                let detection = Detection {
                     class: name.clone(),
                     class_index,
                     score: *score,
@@ -146,7 +209,9 @@ impl Input {
                     yaw_deg: direction.map(|p| p[0]),
                     yaw_std_deg: direction.map(|p| p[1]),
                     whole: pose.map(|p| p[4]),
-                })
+                };
+                let cut = regions::is_cut(inside, window, self.geometry.size);
+                Ok(Found { detection, part, cut })
             })
             .collect()
     }

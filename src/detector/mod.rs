@@ -6,16 +6,26 @@
 //! | `detection` | what it finds |
 //! | `input` | from a frame to what the network takes, and back |
 //! | `many` | many pictures, in order |
-//! | `engines`, `engine` | what runs the network, for each size of input |
+//! | `scene` | what may be left out of a picture |
+//! | `contact` | where something touches the gel |
+//! | `regions` | the parts of a picture that the network looks at |
+//! | `stream` | frames of which few change |
+//! | `engines`, `engine` | the network, for each size of input |
+//! | `runner` | what runs a graph: a GPU, the CPU, the reference |
 //! | `pool` | as many pictures in flight as there are slots |
 
 mod config;
+mod contact;
 mod detection;
 mod engine;
 mod engines;
 mod input;
 mod many;
 mod pool;
+mod regions;
+mod runner;
+mod scene;
+mod stream;
 
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
@@ -39,6 +49,9 @@ pub use detection::{Comparison, Detection, Detections};
 use engine::Engine;
 use engines::Engines;
 use input::{Geometry, Input};
+use regions::Window;
+pub use scene::Scene;
+pub use stream::{MOST_REUSED, Stream};
 
 /// Tensors of every stage, by the PyTorch reference's names.
 pub type Stages = Vec<(String, Value)>;
@@ -52,6 +65,8 @@ pub struct GpuDetector {
     adapter: String,
     /// Replaced when the device was lost.
     engines: RwLock<Arc<Engines>>,
+    /// The frame without contact as the last view shows it.
+    reference: Mutex<Option<(View, Arc<Value>)>>,
     /// Held while the engines are rebuilt.
     rebuilding: Mutex<()>,
     /// Whether the device is the caller's, who alone can replace it.
@@ -96,15 +111,22 @@ impl GpuDetector {
         Self::build(config, Some(gpu)).await
     }
 
-    async fn build(config: Config, gpu: Option<Arc<Gpu>>) -> Result<Self> {
+    async fn build(mut config: Config, gpu: Option<Arc<Gpu>>) -> Result<Self> {
         let foreign = gpu.is_some();
+        if config.keep_stages {
+            config.scene = Scene::FULL;
+        }
+        if let Some(reference) = &config.reference {
+            reference.check()?;
+        }
         if let Some(sensor) = &config.sensor {
             sensor.check()?;
         }
         let engines = Engines::open(&config, gpu).await?;
         let (model, adapter) = (engines.model().clone(), engines.adapter.clone());
         let (engines, rebuilding) = (RwLock::new(Arc::new(engines)), Mutex::new(()));
-        let detector = Self { config, model, adapter, engines, rebuilding, foreign };
+        let reference = Mutex::default();
+        let detector = Self { config, model, adapter, engines, reference, rebuilding, foreign };
         match detector.usual_frame() {
             Some(frame) => detector.engine_for(frame).map(|_| ())?,
             None => detector.engines().check()?,
@@ -166,6 +188,11 @@ impl GpuDetector {
     /// f16 has [`Precision::F32`] in its [`Detections`].
     pub fn precision(&self) -> Precision {
         self.engines().precision()
+    }
+
+    /// What is left out where a picture does not need it: [`Config::scene`].
+    pub fn scene(&self) -> Scene {
+        self.config.scene
     }
 
     /// The network's configuration.
@@ -265,7 +292,150 @@ impl GpuDetector {
     pub async fn detect_async(&self, frame: &Frame<'_>) -> Result<Detections> {
         let deadline = Deadline::after(self.config.timeout);
         let input = self.input(frame)?;
-        Ok(self.look(&input, deadline).await?.1)
+        let engines = self.engines();
+        match self.detect_with(&engines, &input, deadline).await {
+            Err(e) => self.detect_with(&*self.recover(&engines, e)?, &input, deadline).await,
+            found => found,
+        }
+    }
+
+    async fn detect_with(
+        &self,
+        engines: &Engines,
+        input: &Input,
+        deadline: Deadline,
+    ) -> Result<Detections> {
+        let look = match self.config.scene.looks() {
+            true => Some(self.touched(engines, input, None, false, deadline).await?),
+            false => None,
+        };
+        self.look_at(engines, input, look, deadline).await
+    }
+
+    /// Looks for contact, and, for a stream, for what changed since the frame with the cells `before`.
+    async fn touched(
+        &self,
+        engines: &Engines,
+        input: &Input,
+        before: Option<&Value>,
+        stream: bool,
+        deadline: Deadline,
+    ) -> Result<contact::Look> {
+        let cells = contact::cells(&input.view);
+        let reference = self.reference(&input.view)?;
+        let kind = contact::Kind { cells, reference: reference.is_some(), stream };
+        let look = engines.contact(kind)?;
+        look.look(input, reference.as_deref(), before, deadline).await
+    }
+
+    /// The cells of [`Config::reference`] in a view, if it has the size of the view's frames.
+    fn reference(&self, view: &View) -> Result<Option<Arc<Value>>> {
+        let Some(frame) = &self.config.reference else { return Ok(None) };
+        if view.frame != [frame.width, frame.height] {
+            return Ok(None);
+        }
+        let mut known = self.reference.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, cells)) = known.as_ref().filter(|(of, _)| of == view) {
+            return Ok(Some(cells.clone()));
+        }
+        let cells = Arc::new(contact::reference_cells(frame, view)?);
+        *known = Some((*view, cells.clone()));
+        Ok(Some(cells))
+    }
+
+    /// Looks at a picture as far as its contact asks for it.
+    async fn look_at(
+        &self,
+        engines: &Engines,
+        input: &Input,
+        look: Option<contact::Look>,
+        deadline: Deadline,
+    ) -> Result<Detections> {
+        let scene = &self.config.scene;
+        let Some(look) = look else {
+            return Ok(self.look_with(engines, input, deadline).await?.1);
+        };
+        let touched = !look.map.is_empty();
+        let contact = Some(touched);
+        if !touched && scene.contact {
+            let stages = look.stages;
+            return Ok(Detections { contact, stages, ..input.report(Vec::new()) });
+        }
+        let windows = match touched && scene.regions {
+            true => regions::windows(&look.map, &input.geometry, scene),
+            false => None,
+        };
+        let mut stages = look.stages;
+        let found = match windows {
+            None => self.look_with(engines, input, deadline).await?.1,
+            Some(windows) => self.look_into(engines, input, &windows, deadline).await?,
+        };
+        stages.extend(found.stages);
+        Ok(Detections { contact, stages, wall: input.start.elapsed(), ..found })
+    }
+
+    /// Looks at parts of the network's input; once more in f32 where f16 does not reach.
+    async fn look_into(
+        &self,
+        engines: &Engines,
+        input: &Input,
+        windows: &[Window],
+        deadline: Deadline,
+    ) -> Result<Detections> {
+        let precision = engines.precision();
+        match self.look_into_as(engines, precision, input, windows, deadline).await {
+            Err(Error::NotFinite { .. }) if precision == Precision::F16 => {
+                self.look_into_as(engines, Precision::F32, input, windows, deadline).await
+            }
+            found => found,
+        }
+    }
+
+    async fn look_into_as(
+        &self,
+        engines: &Engines,
+        precision: Precision,
+        input: &Input,
+        windows: &[Window],
+        deadline: Deadline,
+    ) -> Result<Detections> {
+        let mut found = Vec::new();
+        let mut proposals = 0;
+        let mut stages: Vec<StageTime> = Vec::new();
+        for (part, window) in windows.iter().enumerate() {
+            let crop = input.part(window)?;
+            let engine = engines.engine_in([window.height, window.width], precision)?;
+            let network = &engine.network;
+            let inputs = [(network.picture, &input.pixels), (network.crop, &crop)];
+            let (values, times) = engine.run(&inputs, deadline).await?;
+            let answer = input.answer(network, &values, window, part)?;
+            found.extend(answer.found);
+            proposals += answer.proposals;
+            if stages.is_empty() {
+                stages = times;
+            } else {
+                stages.iter_mut().zip(times).for_each(|(sum, more)| sum.time += more.time);
+            }
+        }
+        let found = regions::merged(found, self.config.iou, self.config.max_detections);
+        let regions = Some(windows.iter().map(|window| input.rect(window)).collect());
+        Ok(Detections { regions, proposals, stages, precision, ..input.report(found) })
+    }
+
+    /// Looks at frames of one camera in their order: one that equals the last that was computed keeps its
+    /// detections.
+    pub fn stream(&self) -> Stream<'_> {
+        Stream::new(self)
+    }
+
+    /// [`GpuDetector::stream`] over `frames`. The iterator ends with them; an error is that of its frame
+    /// alone.
+    pub fn detect_stream<'a>(
+        &'a self,
+        frames: impl IntoIterator<Item = Frame<'a>> + 'a,
+    ) -> impl Iterator<Item = Result<Detections>> + 'a {
+        let mut stream = self.stream();
+        frames.into_iter().map(move |frame| stream.detect(&frame))
     }
 
     /// Finds the snaps in each of `frames`, in their order, with several in flight: the next frame is
@@ -288,7 +458,7 @@ impl GpuDetector {
         self.check_keeps_stages()?;
         let deadline = Deadline::after(self.config.timeout);
         let input = self.input(frame)?;
-        let (mut values, detections) = pollster::block_on(self.look(&input, deadline))?;
+        let (mut values, detections) = pollster::block_on(self.look_at_stages(&input, deadline))?;
         let engine = self.engines().engine(input.geometry.size)?;
         let graph = &engine.network.graph;
         let named = |id: TensorId| Some((graph.name(id).to_owned(), values.remove(&id)?));
@@ -345,6 +515,18 @@ impl GpuDetector {
         })
     }
 
+    async fn look_at_stages(
+        &self,
+        input: &Input,
+        deadline: Deadline,
+    ) -> Result<(Values, Detections)> {
+        let engines = self.engines();
+        match self.look_with(&engines, input, deadline).await {
+            Err(e) => self.look_with(&*self.recover(&engines, e)?, input, deadline).await,
+            found => found,
+        }
+    }
+
     fn check_keeps_stages(&self) -> Result<()> {
         match self.config.keep_stages {
             true => Ok(()),
@@ -352,19 +534,21 @@ impl GpuDetector {
         }
     }
 
-    /// Looks at a picture. The values are the outputs, or with `keep_stages` those of every stage, cut
-    /// to their valid rows. On a lost device it looks once more, on a new one.
-    async fn look(&self, input: &Input, deadline: Deadline) -> Result<(Values, Detections)> {
-        let engines = self.engines();
-        match self.look_with(&engines, input, deadline).await {
-            Err(Error::DeviceLost(_)) if self.config.rebuild_on_loss && !self.foreign => {
-                let engines = self.rebuild(&engines)?;
-                self.look_with(&engines, input, deadline).await
+    /// What to go on with after an error: on a lost device a new one.
+    ///
+    /// # Errors
+    /// The error itself, and what opening a device returns.
+    fn recover(&self, engines: &Arc<Engines>, error: Error) -> Result<Arc<Engines>> {
+        match error {
+            Error::DeviceLost(_) if self.config.rebuild_on_loss && !self.foreign => {
+                self.rebuild(engines)
             }
-            other => other,
+            error => Err(error),
         }
     }
 
+    /// Looks at a whole picture. The values are the outputs, or with `keep_stages` those of every stage,
+    /// cut to their valid rows.
     async fn look_with(
         &self,
         engines: &Engines,
@@ -440,6 +624,9 @@ mod tests {
             height: 480,
             mm_per_pixel: 0.0625,
             precision: Precision::F16,
+            contact: Some(true),
+            regions: Some(vec![Rect { x: 1, y: 2, width: 3, height: 4 }]),
+            reused: false,
             proposals: 7,
             stages,
             wall: Duration::from_millis(20),
@@ -452,6 +639,7 @@ mod tests {
                 "center_std_mm": [0.125, 0.0625], "yaw_deg": null, "yaw_std_deg": null, "whole": 0.5
             }],
             "width": 640, "height": 480, "mm_per_pixel": 0.0625, "precision": "f16", "proposals": 7,
+            "contact": true, "regions": [{"x": 1, "y": 2, "width": 3, "height": 4}], "reused": false,
             "stages": [{"stage": "input", "ms": 1.5}],
             "wall_ms": 20.0
         });

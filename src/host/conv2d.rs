@@ -1,10 +1,13 @@
 //! 2-D convolution on channels-last maps: Winograd where it pays, else im2col, both over a matrix
 //! product.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use super::gemm::{multiply, order, vectorised};
 use super::kernel::{Data, Kernel};
+use super::packs::Pack;
 use super::winograd::Winograd;
 use crate::cpu;
 use crate::ops::Conv2d;
@@ -54,7 +57,7 @@ impl MapShape {
 #[derive(Debug)]
 enum Algorithm {
     /// Weights `[kh, kw, I, O]`.
-    Im2col(Vec<f32>),
+    Im2col(Arc<Vec<f32>>),
     Winograd(Winograd),
 }
 
@@ -87,13 +90,14 @@ impl Epilogue {
 }
 
 impl Convolution {
-    /// Packs the weights of `op` for an input of this shape.
+    /// Packs the weights of `op` for an input of this shape, where `pack` has not got them.
     pub fn new(
         op: Conv2d,
         input: &TensorSpec,
         output: &TensorSpec,
         weight: &Tensor,
         bias: Option<&Tensor>,
+        pack: Pack,
     ) -> Self {
         let [out_c, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
         let [in_h, in_w] = [1, 2].map(|i| input.shape.0[i]);
@@ -101,8 +105,8 @@ impl Convolution {
         let shape = MapShape { in_c, in_h, in_w, out_c, out_h, out_w, kh, kw };
         let bias = bias.map_or_else(|| vec![0.0; out_c], |b| b.data().to_vec());
         let algorithm = match Winograd::fits(&op, &shape) {
-            true => Algorithm::Winograd(Winograd::new(shape, weight)),
-            false => Algorithm::Im2col(channels_last(weight)),
+            true => Algorithm::Winograd(Winograd::new(shape, weight, pack)),
+            false => Algorithm::Im2col(pack.get("im2col", || channels_last(weight))),
         };
         Self { op, shape, algorithm, epilogue: Epilogue { bias, relu: op.relu } }
     }

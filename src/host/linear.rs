@@ -1,9 +1,12 @@
 //! A fully connected layer on the rows that there are.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use super::gemm::{multiply, order};
 use super::kernel::{Data, Kernel, Layout, map_sizes};
+use super::packs::Pack;
 use crate::cpu;
 use crate::ops::Linear;
 use crate::ops::bounds::magnitude;
@@ -17,13 +20,13 @@ pub(super) struct FullyConnected {
     rows: usize,
     /// How a row lies.
     layout: Layout,
-    weight: Vec<f32>,
+    weight: Arc<Vec<f32>>,
     bias: Vec<f32>,
 }
 
 impl FullyConnected {
-    /// Packs the weights of `op` for an input of this shape.
-    pub fn new(op: Linear, input: &TensorSpec, weight: &Tensor, bias: &Tensor) -> Self {
+    /// Packs the weights of `op` for an input of this shape, where `pack` has not got them.
+    pub fn new(op: Linear, input: &TensorSpec, weight: &Tensor, bias: &Tensor, pack: Pack) -> Self {
         let [outputs, inner] = [0, 1].map(|i| weight.dims()[i]);
         // Where a row is a map [C, H, W], it comes as [H, W, C].
         let (layout, channels, pixels) = match map_sizes(input) {
@@ -32,13 +35,17 @@ impl FullyConnected {
             }
             _ => (Layout::Planar, inner, 1),
         };
-        let mut packed = Vec::with_capacity(outputs * inner);
-        for pixel in 0..pixels {
-            for channel in 0..channels {
-                let k = channel * pixels + pixel;
-                packed.extend((0..outputs).map(|o| weight.data()[o * inner + k]));
+        let channels_last = || {
+            let mut packed = Vec::with_capacity(outputs * inner);
+            for pixel in 0..pixels {
+                for channel in 0..channels {
+                    let k = channel * pixels + pixel;
+                    packed.extend((0..outputs).map(|o| weight.data()[o * inner + k]));
+                }
             }
-        }
+            packed
+        };
+        let packed = pack.get("linear", channels_last);
         let rows = input.shape.0[0];
         Self { op, rows, layout, weight: packed, bias: bias.data().to_vec() }
     }

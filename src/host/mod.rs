@@ -22,6 +22,7 @@ mod gemm;
 mod kernel;
 mod linear;
 mod maps;
+mod packs;
 mod plan;
 mod pooling;
 mod reference;
@@ -44,12 +45,13 @@ use kernel::Kernel;
 pub use plan::HostPlan;
 
 /// The kernel for an operation on inputs of these shapes. `constants` holds the values of those
-/// inputs that are known now.
+/// inputs that are known now; weights that `pack` has got already are shared.
 fn kernel(
     op: &dyn Op,
     inputs: &[TensorSpec],
     outputs: &[TensorSpec],
     constants: &[Option<&Value>],
+    pack: packs::Pack,
 ) -> Result<Option<Box<dyn Kernel>>> {
     let any: &dyn Any = op;
     let constant = |index: usize| match constants.get(index) {
@@ -61,12 +63,13 @@ fn kernel(
         let Some(weight) = constant(1).filter(|_| op.bias == bias.is_some()) else {
             return Ok(None);
         };
-        let conv = conv2d::Convolution::new(*op, &inputs[0], &outputs[0], weight, bias);
+        let conv = conv2d::Convolution::new(*op, &inputs[0], &outputs[0], weight, bias, pack);
         return Ok(Some(Box::new(conv)));
     }
     if let Some(op) = any.downcast_ref::<Linear>() {
         let (Some(weight), Some(bias)) = (constant(1), constant(2)) else { return Ok(None) };
-        return Ok(Some(Box::new(linear::FullyConnected::new(*op, &inputs[0], weight, bias))));
+        let layer = linear::FullyConnected::new(*op, &inputs[0], weight, bias, pack);
+        return Ok(Some(Box::new(layer)));
     }
     if let Some(op) = any.downcast_ref::<CropResize>() {
         return Ok(Some(Box::new(crop_resize::Resize { op: *op })));
@@ -126,7 +129,7 @@ pub fn check_expected(expected: &Expected) -> Result<Report> {
     }
     let outputs = graph.apply_shared(&case.name, case.op.clone(), &inputs)?;
     outputs.iter().for_each(|id| graph.mark_output(*id));
-    let mut plan = HostPlan::new(&graph, &[])?;
+    let mut plan = HostPlan::new(&graph, &[], None)?;
     plan.poison();
     let (mut values, _) = plan.run(&graph, &given)?;
     let known: Vec<Value> = outputs.iter().filter_map(|id| values.remove(id)).collect();

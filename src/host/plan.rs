@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::kernel::{Data, Kernel, Layout, convert};
+use super::packs::{Pack, Packs};
 use super::reference::Reference;
 use crate::error::{Error, Result};
 use crate::graph::{Graph, Source, StageTime, TensorId};
@@ -45,6 +46,7 @@ enum Place {
 
 /// A graph with its weights packed and its buffers allocated.
 pub struct HostPlan {
+    packs: Arc<Packs>,
     steps: Vec<Step>,
     places: HashMap<Version, Place>,
     specs: Vec<TensorSpec>,
@@ -64,12 +66,14 @@ impl std::fmt::Debug for HostPlan {
 }
 
 impl HostPlan {
-    /// Packs the weights of `graph`. A run gives back its outputs and the tensors in `keep`.
+    /// Packs the weights of `graph`. A run gives back its outputs and the tensors in `keep`. Weights that
+    /// `like` has packed, a plan of the same weights, are shared.
     ///
     /// # Errors
     /// What the kernels refuse.
-    pub fn new(graph: &Graph, keep: &[TensorId]) -> Result<Self> {
-        let mut builder = Builder { graph, made: HashMap::new(), steps: Vec::new() };
+    pub fn new(graph: &Graph, keep: &[TensorId], like: Option<&Self>) -> Result<Self> {
+        let packs = like.map_or_else(Arc::default, |plan| plan.packs.clone());
+        let mut builder = Builder { graph, packs: &packs, made: HashMap::new(), steps: Vec::new() };
         let mut constants = Vec::new();
         for node in graph.nodes() {
             builder.add(node, &mut constants)?;
@@ -99,6 +103,7 @@ impl HostPlan {
         let inputs = (0..specs.len()).map(TensorId).filter(|id| given(*id)).collect();
         let names = graph.tensors().iter().map(|t| t.name.clone()).collect();
         Ok(Self {
+            packs,
             steps,
             places,
             specs,
@@ -243,6 +248,7 @@ impl HostPlan {
 /// Collects the steps of a plan.
 struct Builder<'a> {
     graph: &'a Graph,
+    packs: &'a Packs,
     /// The layout in which each tensor is made.
     made: HashMap<TensorId, Layout>,
     steps: Vec<Step>,
@@ -267,7 +273,9 @@ impl Builder<'_> {
             .collect::<Result<_>>()?;
         let known: Vec<Option<&Value>> = values.iter().map(Option::as_deref).collect();
         let (op, outputs) = (node.op.as_ref(), &output_specs);
-        let kernel = match super::kernel(op, &input_specs, outputs, &known)? {
+        let name = node.inputs.get(1).map_or("", |id| self.graph.name(*id));
+        let pack = Pack { all: self.packs, name };
+        let kernel = match super::kernel(op, &input_specs, outputs, &known, pack)? {
             Some(kernel) => kernel,
             None => Box::new(Reference::new(node.op.clone(), input_specs.clone())),
         };

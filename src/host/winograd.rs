@@ -6,11 +6,13 @@
 //! over all channels is 36 matrix products.
 
 use std::array::from_fn;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use super::conv2d::{Epilogue, MapShape};
 use super::gemm::{multiply, order, vectorised};
+use super::packs::Pack;
 use crate::ops::Conv2d;
 use crate::ops::winograd::{IN, OUT, POINTS, error_bound, point_weight};
 use crate::tensor::Tensor;
@@ -24,12 +26,26 @@ const BLOCK: usize = 32;
 
 type Lanes = [f32; LANES];
 
+/// G g Gᵀ of each point and pair of channels.
+fn transformed(shape: MapShape, weight: &Tensor) -> Vec<f32> {
+    let MapShape { in_c, out_c, .. } = shape;
+    let mut packed = vec![0.0; POINTS * in_c * out_c];
+    packed.par_chunks_mut(in_c * out_c).enumerate().for_each(|(point, packed)| {
+        for (at, to) in packed.iter_mut().enumerate() {
+            let (i, o) = (at / out_c, at % out_c);
+            let taps = &weight.data()[(o * in_c + i) * 9..][..9];
+            *to = point_weight(taps, point);
+        }
+    });
+    packed
+}
+
 /// A convolution's weights, transformed.
 #[derive(Debug)]
 pub(super) struct Winograd {
     shape: MapShape,
     /// G g Gᵀ of each point, `[36, I, O]`.
-    weight: Vec<f32>,
+    weight: Arc<Vec<f32>>,
 }
 
 impl Winograd {
@@ -41,18 +57,9 @@ impl Winograd {
             && shape.pixels() >= LEAST_PIXELS
     }
 
-    /// Transforms `weight` `[O, I, 3, 3]`, in f64.
-    pub fn new(shape: MapShape, weight: &Tensor) -> Self {
-        let MapShape { in_c, out_c, .. } = shape;
-        let mut packed = vec![0.0; POINTS * in_c * out_c];
-        packed.par_chunks_mut(in_c * out_c).enumerate().for_each(|(point, packed)| {
-            for (at, to) in packed.iter_mut().enumerate() {
-                let (i, o) = (at / out_c, at % out_c);
-                let taps = &weight.data()[(o * in_c + i) * 9..][..9];
-                *to = point_weight(taps, point);
-            }
-        });
-        Self { shape, weight: packed }
+    /// Transforms `weight` `[O, I, 3, 3]`, in f64, where `pack` has not got it.
+    pub fn new(shape: MapShape, weight: &Tensor, pack: Pack) -> Self {
+        Self { shape, weight: pack.get("winograd", || transformed(shape, weight)) }
     }
 
     /// How far each output may be from the definition's, `[O, H, W]`, for absolute values of the

@@ -14,6 +14,7 @@ mod weights;
 mod apply_gates;
 mod channel_gate;
 mod channel_pool;
+mod contact;
 mod conv2d;
 mod crop_resize;
 mod decode_detections;
@@ -204,6 +205,7 @@ static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
     ("apply_gates", &[&apply_gates::Quads, &apply_gates::Planar]),
     ("channel_gate", &[&channel_gate::Planar]),
     ("channel_pool", &[&channel_pool::Quads, &channel_pool::Planar]),
+    ("contact", &[&contact::Planar]),
     (
         "conv2d",
         &[

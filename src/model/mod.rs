@@ -136,8 +136,8 @@ impl Network {
             Features::Scales(scales) => fusion::fusion(&mut graph, &mut weights, scales)?,
             Features::Conv4(map) => (map, None),
         };
-        let proposals = rpn::rpn(&mut graph, &mut weights, size, fused)?;
         let settings = (size, thresholds);
+        let proposals = rpn::rpn(&mut graph, &mut weights, settings, fused)?;
         let head = roi_head::roi_head(&mut graph, &mut weights, settings, fused, proposals)?;
         weights.finish()?;
         // A channel's mean is not finite where one of its values is not: what each stage's attention

@@ -29,6 +29,8 @@ pub struct Thresholds {
     pub max_detections: usize,
     /// Bit c set: class c is wanted; 0 is the background.
     pub class_mask: u32,
+    /// A proposal's objectness, from 0 to 1, must be above this; −∞ for all of them.
+    pub least_objectness: f32,
 }
 
 /// The detections' tensors, best first.

@@ -5,9 +5,9 @@
 
 use crate::error::Result;
 use crate::graph::{Graph, TensorId};
-use crate::model::Choice;
 use crate::model::layers::conv;
 use crate::model::weights::Weights;
+use crate::model::{Choice, Thresholds};
 use crate::ops::{Conv2d, DecodeProposals, GatherRows, Nms, TopK};
 
 /// Proposals that enter the non-maximum suppression.
@@ -36,7 +36,7 @@ pub(super) struct Proposals {
 pub(super) fn rpn(
     graph: &mut Graph,
     weights: &mut Weights,
-    [height, width]: [usize; 2],
+    ([height, width], thresholds): ([usize; 2], Thresholds),
     fused: TensorId,
 ) -> Result<Proposals> {
     graph.begin_stage("rpn");
@@ -55,6 +55,7 @@ pub(super) fn rpn(
     let nms = Nms {
         iou_threshold: IOU,
         max_out: AFTER_NMS,
+        min_score: thresholds.least_objectness,
         min_size: MIN_SIZE,
         sorted: true,
         count: true,

@@ -12,6 +12,7 @@ pub mod bounds;
 mod boxes;
 mod channel_gate;
 mod channel_pool;
+mod contact;
 pub(crate) mod conv2d;
 pub(crate) mod count;
 mod crop_resize;
@@ -40,6 +41,7 @@ pub use apply_gates::ApplyGates;
 pub use case::{Case, Expected, Report};
 pub use channel_gate::ChannelGate;
 pub use channel_pool::ChannelPool;
+pub use contact::Contact;
 pub use conv2d::Conv2d;
 pub use crop_resize::CropResize;
 pub(crate) use crop_resize::{MEAN, STD};
@@ -69,6 +71,7 @@ pub static OPS: &[&Entry] = &[
     &apply_gates::ENTRY,
     &channel_gate::ENTRY,
     &channel_pool::ENTRY,
+    &contact::ENTRY,
     &conv2d::ENTRY,
     &crop_resize::ENTRY,
     &decode_detections::ENTRY,

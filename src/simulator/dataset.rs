@@ -103,11 +103,13 @@ struct Origin {
     forced: Forced,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     sensor: Option<Sensor>,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    press: bool,
 }
 
 impl Origin {
     fn of(settings: &Settings) -> Self {
-        let Request { mix, conditions, part, forced, sensor } = &settings.request;
+        let Request { mix, conditions, part, forced, sensor, press } = &settings.request;
         Self {
             seed: settings.seed,
             kind: *mix,
@@ -116,6 +118,7 @@ impl Origin {
             part: *part,
             forced: forced.clone(),
             sensor: sensor.as_ref().map(|given| given.sensor().clone()),
+            press: *press,
         }
     }
 }
@@ -192,8 +195,11 @@ pub fn simulate(
     let missing = (0..all).into_par_iter().with_min_len(CHUNK).filter(|i| !whole.contains(i));
     missing.try_for_each_init(Renderer::new, |renderer, i| {
         let scene_seed = scene_seed(settings.seed, i as u64);
-        let Rendered { picture, frame, conditions, labels: snaps } =
-            renderer.render(scene_seed, &settings.request)?;
+        let rendered = match settings.request.press {
+            true => renderer.press(settings.seed, i, scene_seed, settings.request.mix),
+            false => renderer.render(scene_seed, &settings.request)?,
+        };
+        let Rendered { picture, frame, conditions, labels: snaps } = rendered;
         let image = image_path(&images, i);
         let png = encode(&image, &picture)?;
         files::write(&image, &png)?;
@@ -365,10 +371,14 @@ fn show(origin: &Origin) -> String {
         Mix::B => "b",
         Mix::Mixed => "mixed",
         Mix::None => "none",
+        Mix::Bare => "bare",
     };
     let mut text = format!("seed {}, kind {kind}, simulator {}", origin.seed, origin.simulator);
     if origin.conditions == Distribution::Wide {
         text += ", wide conditions";
+    }
+    if origin.press {
+        text += ", a press";
     }
     if let Some(part) = origin.part {
         text += &format!(", part {part:?}").to_lowercase();

@@ -130,6 +130,7 @@ impl Layout<'_> {
         let [x0, y0, x1, y1] = self.visible;
         let room = (((x1 - x0) * (y1 - y0) / 150.0) as usize).clamp(1, 4);
         let without = match mix {
+            Mix::Bare => return,
             Mix::None => true,
             Mix::Mixed => self.rng.random_bool(WITHOUT_SNAP),
             Mix::A | Mix::B => false,
@@ -157,8 +158,8 @@ impl Layout<'_> {
             let kind = match mix {
                 Mix::A => Kind::A,
                 Mix::B => Kind::B,
-                Mix::Mixed | Mix::None if self.rng.random_bool(0.5) => Kind::A,
-                Mix::Mixed | Mix::None => Kind::B,
+                Mix::Mixed | Mix::None | Mix::Bare if self.rng.random_bool(0.5) => Kind::A,
+                Mix::Mixed | Mix::None | Mix::Bare => Kind::B,
             };
             self.add_snap(kind);
         }

@@ -10,6 +10,7 @@
 //! | coating | [`coating`], [`markers`] | the coating, its wear and its dust; its print |
 //! | camera | [`camera`] | parallax, distortion, defocus, noise, 8 bits |
 //! | labels | [`label`] | boxes round the imprints, seen through the same camera |
+//! | press | [`press`] | one press as frames in their order |
 //! | one sensor | [`given`] | a user's own sensor, from its file |
 //! | picture | [`look`], [`render`] | one sensor's picture of a surface; all of it for one seed |
 //! | files | [`dataset`] | folders of pictures with COCO labels |
@@ -52,6 +53,7 @@ pub mod layout;
 pub mod look;
 pub mod markers;
 pub mod optics;
+pub mod press;
 pub mod profile;
 pub mod render;
 pub mod scene;

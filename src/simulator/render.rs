@@ -11,6 +11,7 @@ use super::Error;
 use super::camera::Camera;
 use super::conditions::{Conditions, Distribution, Forced, Mechanics, Optics, TYPICAL_CONTRAST};
 use super::contact::{Contact, Stop, solve};
+use super::dataset::scene_seed;
 use super::distractors::Part;
 use super::frame::Frame;
 use super::gel::{Elasticity, Grid, Layer};
@@ -18,6 +19,7 @@ use super::given::Given;
 use super::label::{Imprint, PixelBox, imprints, visible_share};
 use super::layout::Region;
 use super::look::{Light, Look, Painter, Sideways};
+use super::press::Press;
 use super::scene::{Mix, Placed, Scene};
 use super::smooth;
 use super::snaps::{Kind, Snap};
@@ -63,6 +65,8 @@ pub struct Request {
     pub forced: Forced,
     /// The one sensor that takes all pictures; in wide pictures only.
     pub sensor: Option<Arc<Given>>,
+    /// Whether the pictures are the frames of [`Press`]es; plain ones only.
+    pub press: bool,
 }
 
 impl Request {
@@ -175,6 +179,27 @@ impl Renderer {
             given.state(&mut conditions);
         }
         self.wide(seed, request, frame, conditions, &mut scenes, &mut sensor)
+    }
+
+    /// Renders a frame of the presses of this seed, the first [`Press::FRAMES`] of one, the next of another;
+    /// `noise` is the frame's own seed. Of kind A for [`Mix::A`], B for [`Mix::B`], else either.
+    pub fn press(&mut self, seed: u64, frame: usize, noise: u64, mix: Mix) -> Rendered {
+        let (number, frame) = (frame / Press::FRAMES, frame % Press::FRAMES);
+        let press = Press::sample(scene_seed(seed, number as u64), mix);
+        let plan = self.plain.get_or_insert_with(|| Plan::new(Layer::default(), GRID));
+        let (scene, look) = press.at(frame);
+        let [width, height] = look.camera.frame.size_px();
+        let window = [0.0, 0.0, width, height];
+        let body = scene.body(GRID, look.camera.frame.size_mm());
+        let contact = solve(&mut plan.elasticity, &body.penetration, &[], STOP);
+        let found = imprints(&body, &contact, GRID, &look.camera, window, scene.snaps.len());
+        // What is too faint has no label.
+        let labels = labels(&scene.snaps, &found, &look.camera, window).unwrap_or_default();
+        let surface = Surface::new(GRID, contact.displacement);
+        let mut rng = Pcg64::seed_from_u64(noise);
+        let picture = self.painter.paint(&look, &surface, None, &mut rng);
+        let conditions = plain_conditions(&look, plan.layer, window);
+        Rendered { picture, frame: look.camera.frame, conditions, labels }
     }
 
     fn plain(&mut self, seed: u64, mix: Mix) -> Result<Rendered, Error> {

@@ -90,6 +90,8 @@ pub enum Mix {
     Mixed,
     /// No snaps: other things, balls among them, or an untouched gel.
     None,
+    /// An untouched gel, with its dust, scratches and stains.
+    Bare,
 }
 
 /// Everything that touches the gel.
@@ -117,7 +119,7 @@ impl Scene {
         let mut scene = Self { snaps: Vec::new(), distractors: Vec::new() };
         let count = match rng.random_range(0..100) {
             0..8 if mix == Mix::Mixed => 0,
-            _ if mix == Mix::None => 0,
+            _ if matches!(mix, Mix::None | Mix::Bare) => 0,
             0..60 => 1,
             60..84 => 2,
             84..95 => 3,
@@ -127,12 +129,16 @@ impl Scene {
             let kind = match mix {
                 Mix::A => Kind::A,
                 Mix::B => Kind::B,
-                Mix::Mixed | Mix::None if rng.random_bool(0.5) => Kind::A,
-                Mix::Mixed | Mix::None => Kind::B,
+                Mix::Mixed | Mix::None | Mix::Bare if rng.random_bool(0.5) => Kind::A,
+                Mix::Mixed | Mix::None | Mix::Bare => Kind::B,
             };
             scene.add_snap(rng, kind);
         }
-        let touched = if mix == Mix::None { 0.9 } else { 0.5 };
+        let touched = match mix {
+            Mix::Bare => 0.0,
+            Mix::None => 0.9,
+            Mix::A | Mix::B | Mix::Mixed => 0.5,
+        };
         let count = if rng.random_bool(touched) { rng.random_range(1..=3) } else { 0 };
         for _ in 0..count {
             let part = match mix {

@@ -1,0 +1,273 @@
+//! Where something touches the gel, before the network runs.
+
+use std::sync::Arc;
+
+use crate::cpu::{Crop, crop_resize};
+use crate::detector::Config;
+use crate::detector::input::Input;
+use crate::detector::runner::Runner;
+use crate::error::Result;
+use crate::frame::Frame;
+use crate::gpu::{Deadline, Gpu};
+use crate::graph::{Graph, StageTime, TensorId};
+use crate::lower::Choice;
+use crate::model::MAX_PIXELS;
+use crate::ops::{Contact, CropResize};
+use crate::precision::Precision;
+use crate::sensor::View;
+use crate::shape::{Extent, TensorSpec};
+use crate::tensor::{Tensor, Value};
+
+/// Side of a cell in millimetres.
+const CELL_MM: f64 = 0.5;
+/// Least and most share of the brightness by which untouched gel may differ from its surroundings: see
+/// [`Contact`]. Both, and [`CLUSTER`], were chosen on 922 simulated snaps, which all show with limits an eighth higher.
+const OWN: [f32; 2] = [0.01, 0.052];
+/// The same against a reference frame: wear and clouds are in that too.
+const AGAINST: [f32; 2] = [0.0234; 2];
+/// Share of the brightness by which a tile of a stream changes through noise alone.
+const CHANGED: [f32; 2] = [0.0234; 2];
+/// Level from which a cell is overexposed.
+const CLIPPED: f32 = 250.0;
+/// Touched tiles in a square of 3 × 3, past the edge the edge's, that make its middle a part of a contact;
+/// scratches, dust and hairs have fewer. Of 1300 simulated snaps none that shows has no such place.
+const CORE: usize = 6;
+/// Tiles from there to touched ones that belong to the same contact, along x and y.
+const SKIRT: usize = 2;
+
+/// Where something touches: whether it does for each tile, a square millimetre of gel, row by row.
+#[derive(Debug)]
+pub(super) struct Map {
+    touched: Vec<bool>,
+    /// Rows and columns of tiles.
+    pub tiles: [usize; 2],
+    /// Rows and columns of cells, half a tile each; the last tile may hold one of them alone.
+    pub cells: [usize; 2],
+}
+
+impl Map {
+    /// The map of words with a bit for each tile, without scratches and the like.
+    fn new(words: &[u32], tiles: [usize; 2], cells: [usize; 2]) -> Self {
+        let [rows, columns] = tiles;
+        let bit = |x: usize, y: usize| {
+            let at = y * columns + x;
+            words.get(at / 32).is_some_and(|word| word >> (at % 32) & 1 == 1)
+        };
+        // The place at an offset, or the nearest one at the edge.
+        let near = |at: usize, by: usize, all: usize| (at + by).saturating_sub(1).min(all - 1);
+        let places = (0..rows).flat_map(|y| (0..columns).map(move |x| (x, y)));
+        let is_core = |(x, y): (usize, usize)| {
+            let square = (0..9).filter(|i| bit(near(x, i % 3, columns), near(y, i / 3, rows)));
+            bit(x, y) && square.count() >= CORE
+        };
+        let core: Vec<bool> = places.clone().map(is_core).collect();
+        let around = |at: usize, all: usize| at.saturating_sub(SKIRT)..(at + SKIRT + 1).min(all);
+        let belongs = |(x, y): (usize, usize)| {
+            let mut square =
+                around(y, rows).flat_map(|y| around(x, columns).map(move |x| y * columns + x));
+            bit(x, y) && square.any(|at| core[at])
+        };
+        Self { touched: places.map(belongs).collect(), tiles, cells }
+    }
+
+    /// The touched tiles, by column and row.
+    pub fn touched(&self) -> impl Iterator<Item = [usize; 2]> {
+        let columns = self.tiles[1];
+        let places = self.touched.iter().enumerate().filter(|(_, touched)| **touched);
+        places.map(move |(at, _)| [at % columns, at / columns])
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.touched().next().is_none()
+    }
+}
+
+/// What a look at a frame gives.
+pub(super) struct Look {
+    pub map: Map,
+    /// Whether something is not as it was in the frame before; `true` without one.
+    pub changed: bool,
+    /// The frame's cells, if streams ask for them.
+    pub cells: Option<Value>,
+    pub stages: Vec<StageTime>,
+}
+
+/// What is compared, which decides what must be computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Kind {
+    /// Rows and columns of cells.
+    pub cells: [usize; 2],
+    /// Whether there is a frame without contact.
+    pub reference: bool,
+    /// Whether a stream compares frames.
+    pub stream: bool,
+}
+
+/// The small graph that looks for contact, and what runs it.
+pub(super) struct Detector {
+    pub kind: Kind,
+    graph: Graph,
+    runner: Runner,
+    picture: TensorId,
+    crop: TensorId,
+    reference: Option<TensorId>,
+    before: Option<TensorId>,
+    cells: TensorId,
+    words: TensorId,
+    changed: Option<TensorId>,
+}
+
+/// Rows and columns of cells for what a view shows.
+pub(super) fn cells(view: &View) -> [usize; 2] {
+    let side = |pixels: u32| {
+        let cells = f64::from(pixels) * f64::from(view.mm_per_pixel) / CELL_MM;
+        (cells.round() as usize).max(1)
+    };
+    [side(view.part.height), side(view.part.width)]
+}
+
+/// The resize of a frame to cells, in levels.
+fn resize([height, width]: [usize; 2]) -> CropResize {
+    CropResize { width, height, mean: [0.0; 3], std: [1.0 / 255.0; 3] }
+}
+
+/// The cells of a frame without contact.
+///
+/// # Errors
+/// As [`Frame::pixels`].
+pub(super) fn reference_cells(frame: &Frame, view: &View) -> Result<Value> {
+    let size = cells(view);
+    let pixels = frame.pixels(view.part)?;
+    let pixels = Tensor::new([pixels.len()], pixels)?;
+    let (op, crop) = (resize(size), crop(view, size));
+    Ok(crop_resize(&pixels, crop, size, op.mean, op.std).into())
+}
+
+/// The part of a view as [`Frame::pixels`] gives it, a cell a pixel.
+fn crop(view: &View, [height, width]: [usize; 2]) -> Crop {
+    let (columns, rows) = (view.part.width as usize, view.part.height as usize);
+    let (resized, window) = ([width, height], [0; 2]);
+    Crop { width: columns, height: rows, x: 0, y: 0, columns, rows, resized, window }
+}
+
+impl Detector {
+    pub async fn new(
+        config: &Config,
+        kind: Kind,
+        gpu: Option<&Arc<Gpu>>,
+        choice: &Choice,
+    ) -> Result<Self> {
+        let [height, width] = kind.cells;
+        let spec = TensorSpec::f32([3, height, width]);
+        let mut graph = Graph::default();
+        let picture = graph.input("picture", TensorSpec::u32([MAX_PIXELS]), Extent::UpTo);
+        let crop = graph.input("crop", TensorSpec::u32([10]), Extent::Exact);
+        graph.begin_stage("contact");
+        let cells = graph.apply1("contact.cells", resize(kind.cells), &[picture, crop])?;
+        let mut against = |name: &str, wanted: bool| {
+            wanted.then(|| graph.input(name, spec.clone(), Extent::Exact))
+        };
+        let reference = against("contact.reference", kind.reference);
+        let before = against("contact.before", kind.stream);
+        let [least, most] = if kind.reference { AGAINST } else { OWN };
+        let op = Contact { least, most, clipped: CLIPPED, reference: kind.reference };
+        let inputs: Vec<_> = [cells].into_iter().chain(reference).collect();
+        let words = graph.apply1("contact", op, &inputs)?;
+        graph.mark_output(words);
+        let changed = match before {
+            None => None,
+            Some(before) => {
+                // What is overexposed stays so: that alone is no change.
+                let [least, most] = CHANGED;
+                let op = Contact { least, most, clipped: f32::MAX, reference: true };
+                let changed = graph.apply1("contact.changed", op, &[cells, before])?;
+                graph.mark_output(changed);
+                graph.mark_output(cells);
+                Some(changed)
+            }
+        };
+        // A limit lies within f16's rounding of a level.
+        let gpu = gpu.map(|gpu| (gpu, Precision::F32));
+        let runner = Runner::new(config, &graph, &[], gpu, choice, None).await?;
+        Ok(Self { kind, graph, runner, picture, crop, reference, before, cells, words, changed })
+    }
+
+    /// Looks for contact in a picture: against `reference`, and for what changed since `before`.
+    ///
+    /// # Errors
+    /// What running returns.
+    pub async fn look(
+        &self,
+        input: &Input,
+        reference: Option<&Value>,
+        before: Option<&Value>,
+        deadline: Deadline,
+    ) -> Result<Look> {
+        let crop = crop(&input.view, self.kind.cells).to_tensor(input.pixels.elements())?.into();
+        let mut inputs = vec![(self.picture, &input.pixels), (self.crop, &crop)];
+        inputs.extend(self.reference.zip(reference));
+        let nothing = before.is_none();
+        let [height, width] = self.kind.cells;
+        let blank: Value = match self.before.filter(|_| nothing) {
+            Some(_) => Tensor::<f32>::zeros([3, height, width]).into(),
+            None => Tensor::<f32>::zeros([0]).into(),
+        };
+        inputs.extend(self.before.map(|id| (id, before.unwrap_or(&blank))));
+        let (mut values, stages) = self.runner.run(&self.graph, &[], &inputs, deadline).await?;
+        let words = |id: TensorId| match values.get(&id) {
+            Some(Value::U32(words)) => words.data().to_vec(),
+            _ => Vec::new(),
+        };
+        let changed = self.changed.is_none_or(|id| nothing || words(id).iter().any(|w| *w != 0));
+        let (tiles, cells) = (Contact::tiles(self.kind.cells), self.kind.cells);
+        let map = Map::new(&words(self.words), tiles, cells);
+        Ok(Look { map, changed, cells: values.remove(&self.cells), stages })
+    }
+}
+
+#[cfg(test)]
+impl Map {
+    /// A map in which these tiles are touched, by column and row.
+    pub fn of(tiles: [usize; 2], touched: &[[usize; 2]]) -> Self {
+        let all = (0..tiles[0] * tiles[1]).map(|at| [at % tiles[1], at / tiles[1]]);
+        let touched = all.map(|tile| touched.contains(&tile)).collect();
+        Self { touched, tiles, cells: tiles.map(|side| 2 * side) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A map of 8 × 6 tiles from rows of a picture.
+    fn seen(rows: [&str; 6]) -> Vec<[usize; 2]> {
+        let bits = rows.concat();
+        let mut words = [0; 2];
+        for at in bits.bytes().enumerate().filter(|(_, byte)| *byte == b'#').map(|(at, _)| at) {
+            words[at / 32] |= 1 << (at % 32);
+        }
+        Map::new(&words, [6, 8], [12, 16]).touched().collect()
+    }
+
+    #[test]
+    fn a_scratch_is_no_contact() {
+        // A line two tiles wide in places, with 5 of 9 at most.
+        assert!(
+            seen(["#.......", "##......", ".##.....", "..##....", "...##...", "....##.."])
+                .is_empty()
+        );
+        // The same with one more: 6 of 9 round the tile at 2, 2, whose neighbours at most 2 away stay.
+        let got = seen(["#.......", "###.....", ".##.....", "..##....", "...##...", "....##.."]);
+        assert_eq!(got.first(), Some(&[0, 0]));
+        assert!(got.contains(&[4, 4]) && !got.contains(&[4, 5]), "{got:?}");
+    }
+
+    /// What the edge cuts goes on beyond it: of a strip one tile wide each has six of nine.
+    #[test]
+    fn a_contact_that_the_edge_cuts() {
+        let strip = ["........", "........", "........", "........", "........", ".####..."];
+        assert_eq!(seen(strip), [[1, 5], [2, 5], [3, 5], [4, 5]]);
+        let inside = ["........", "........", "........", "........", ".####...", "........"];
+        assert!(seen(inside).is_empty());
+    }
+}

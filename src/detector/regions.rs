@@ -1,0 +1,280 @@
+//! Which parts of the network's input are looked at, and what several parts saw of one snap.
+
+use crate::detector::contact::Map;
+use crate::detector::input::Geometry;
+use crate::detector::{Detection, Scene};
+
+/// Sides of parts in pixels of the network's input: few, as each size has an engine of its own.
+const SIDES: [usize; 8] = [96, 128, 160, 192, 256, 320, 384, 512];
+/// Corners are multiples of this: the cells in which the network proposes boxes are then those of the
+/// whole.
+const GRID: usize = 8;
+/// What a part costs beside its area, as a share of the whole.
+const EACH: f64 = 0.05;
+/// Pixels of the network's input from a part's edge at which a box is taken to be cut by it.
+const CUT: f32 = 2.0;
+/// Share of a box that another one covers if both are of one snap.
+const COVERED: f32 = 0.7;
+
+/// A part of the network's input, in its pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Window {
+    pub x: usize,
+    pub y: usize,
+    pub width: usize,
+    pub height: usize,
+}
+
+impl Window {
+    fn area(&self) -> usize {
+        self.width * self.height
+    }
+}
+
+/// A box in pixels: its first and last column and row.
+#[derive(Clone, Copy, Debug)]
+struct Extent {
+    from: [f64; 2],
+    to: [f64; 2],
+}
+
+impl Extent {
+    fn with(&self, other: &Self) -> Self {
+        Self {
+            from: [0, 1].map(|axis| self.from[axis].min(other.from[axis])),
+            to: [0, 1].map(|axis| self.to[axis].max(other.to[axis])),
+        }
+    }
+
+    /// The window that holds it, with `margin` on all sides as far as the input reaches.
+    fn window(&self, margin: [f64; 2], [height, width]: [usize; 2]) -> Window {
+        let side = |axis: usize, full: usize| {
+            let from = (self.from[axis] - margin[axis]).max(0.0) as usize / GRID * GRID;
+            let to = ((self.to[axis] + margin[axis]).ceil() as usize).min(full);
+            let from = from.min(full - 1) / GRID * GRID;
+            let needed = to.saturating_sub(from);
+            let fitting = SIDES.into_iter().find(|side| *side >= needed && *side < full);
+            let length = fitting.unwrap_or(full);
+            let at = from.saturating_sub((length - needed.min(length)) / 2 / GRID * GRID);
+            (at.min(full - length), length)
+        };
+        let ((x, width), (y, height)) = (side(0, width), side(1, height));
+        Window { x, y, width, height }
+    }
+}
+
+/// The parts that show all contact with its margin; `None` where they would cost more than the whole, or
+/// nearly.
+pub(super) fn windows(map: &Map, geometry: &Geometry, scene: &Scene) -> Option<Vec<Window>> {
+    let [rows, columns] = map.cells;
+    let scale =
+        [geometry.resized[0] as f64 / columns as f64, geometry.resized[1] as f64 / rows as f64];
+    // A cell has half a millimetre.
+    let margin = scale.map(|pixels| 2.0 * f64::from(scene.margin_mm) * pixels);
+    let all = [columns, rows];
+    let extent = |tiles: &[[usize; 2]]| {
+        let one = |[x, y]: &[usize; 2]| Extent {
+            from: [0, 1].map(|axis| (2 * [x, y][axis]) as f64 * scale[axis]),
+            to: [0, 1].map(|axis| (2 * [x, y][axis] + 2).min(all[axis]) as f64 * scale[axis]),
+        };
+        tiles.iter().map(one).reduce(|a, b| a.with(&b))
+    };
+    // Contacts nearer to each other than the margin may be of one snap.
+    let near = scene.margin_mm.ceil() as usize;
+    let groups = groups(map, near);
+    let mut parts: Vec<Extent> = groups.iter().filter_map(|tiles| extent(tiles)).collect();
+    let window = |part: &Extent| part.window(margin, geometry.size);
+    let full = (geometry.size[0] * geometry.size[1]) as f64;
+    let cost = |part: &Extent| window(part).area() as f64 / full + EACH;
+    while let Some((i, j)) = pair(&parts, |a, b| cost(&a.with(b)) <= cost(a) + cost(b)) {
+        let other = parts.swap_remove(j);
+        parts[i] = parts[i].with(&other);
+    }
+    let total: f64 = parts.iter().map(cost).sum();
+    (total <= f64::from(scene.most_of_input)).then(|| parts.iter().map(window).collect())
+}
+
+/// The first pair that `fits`.
+fn pair(parts: &[Extent], fits: impl Fn(&Extent, &Extent) -> bool) -> Option<(usize, usize)> {
+    let pairs = (0..parts.len()).flat_map(|i| (i + 1..parts.len()).map(move |j| (i, j)));
+    pairs.into_iter().find(|(i, j)| fits(&parts[*i], &parts[*j]))
+}
+
+/// The touched tiles, together where at most `near` tiles lie between them.
+fn groups(map: &Map, near: usize) -> Vec<Vec<[usize; 2]>> {
+    let [rows, columns] = map.tiles;
+    let mut left = vec![false; rows * columns];
+    map.touched().for_each(|[x, y]| left[y * columns + x] = true);
+    let mut groups = Vec::new();
+    for first in map.touched() {
+        let mut group = Vec::new();
+        let mut open = Vec::new();
+        if std::mem::take(&mut left[first[1] * columns + first[0]]) {
+            open.push(first);
+        }
+        while let Some([x, y]) = open.pop() {
+            group.push([x, y]);
+            let around =
+                |at: usize, all: usize| at.saturating_sub(near + 1)..(at + near + 2).min(all);
+            for y in around(y, rows) {
+                for x in around(x, columns) {
+                    if std::mem::take(&mut left[y * columns + x]) {
+                        open.push([x, y]);
+                    }
+                }
+            }
+        }
+        if !group.is_empty() {
+            groups.push(group);
+        }
+    }
+    groups
+}
+
+/// A detection of one part.
+pub(super) struct Found {
+    pub detection: Detection,
+    /// The part's place among all.
+    pub part: usize,
+    /// Whether it reaches an edge of its part that is none of the input.
+    pub cut: bool,
+}
+
+/// Whether a box, in pixels of the whole input, reaches an edge of `window` that is none of the input.
+pub(super) fn is_cut(bbox: [f32; 4], window: &Window, [height, width]: [usize; 2]) -> bool {
+    let [x, y] = [window.x, window.y].map(|at| at as f32);
+    let [right, bottom] = [window.x + window.width, window.y + window.height];
+    (window.x > 0 && bbox[0] <= x + CUT)
+        || (window.y > 0 && bbox[1] <= y + CUT)
+        || (right < width && bbox[2] >= right as f32 - CUT)
+        || (bottom < height && bbox[3] >= bottom as f32 - CUT)
+}
+
+/// Leaves one detection of each snap that several parts saw: a whole one before one that its part cuts, then
+/// the better. Best first, at most `most`.
+pub(super) fn merged(mut found: Vec<Found>, iou: f32, most: usize) -> Vec<Detection> {
+    found.sort_by(|a, b| a.cut.cmp(&b.cut).then(b.detection.score.total_cmp(&a.detection.score)));
+    let mut kept: Vec<Found> = Vec::new();
+    for one in found {
+        let same = |other: &Found| {
+            other.part != one.part
+                && other.detection.class_index == one.detection.class_index
+                && overlap(other.detection.bbox, one.detection.bbox, iou)
+        };
+        if !kept.iter().any(same) {
+            kept.push(one);
+        }
+    }
+    let mut kept: Vec<Detection> = kept.into_iter().map(|found| found.detection).collect();
+    kept.sort_by(|a, b| b.score.total_cmp(&a.score));
+    kept.truncate(most);
+    kept
+}
+
+/// Whether two boxes overlap by more than `iou`, or one covers most of the other.
+fn overlap(a: [f32; 4], b: [f32; 4], iou: f32) -> bool {
+    let area = |b: [f32; 4]| (b[2] - b[0]).max(0.0) * (b[3] - b[1]).max(0.0);
+    let both = [a[0].max(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].min(b[3])];
+    let (both, a, b) = (area(both), area(a), area(b));
+    both > iou * (a + b - both) || both > COVERED * a.min(b)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 40 × 40 mm at 8 pixels a millimetre.
+    const SQUARE: Geometry = Geometry { resized: [320; 2], size: [320; 2] };
+    const SCENE: Scene = Scene { margin_mm: 4.0, most_of_input: 0.6, ..Scene::SAVING };
+
+    fn seen(touched: &[[usize; 2]]) -> Option<Vec<Window>> {
+        windows(&Map::of([40, 40], touched), &SQUARE, &SCENE)
+    }
+
+    /// Tiles of 8 pixels and a margin of 32: tiles 10 to 17 are pixels 80 to 144, with margin 48 to 176,
+    /// which is 128 long.
+    #[test]
+    fn a_contact_in_the_middle() {
+        let got = seen(&[[10, 20], [17, 20]]).expect("a part");
+        // One row, 160 to 168: with margin 128 to 200 are 72 pixels, in 96 that begin 8 earlier.
+        assert_eq!(got, [Window { x: 48, y: 120, width: 128, height: 96 }]);
+    }
+
+    #[test]
+    fn contacts_at_the_edges() {
+        // Pixels 0 to 8, with margin to 40.
+        assert_eq!(seen(&[[0, 0]]), Some(vec![Window { x: 0, y: 0, width: 96, height: 96 }]));
+        let corner = Window { x: 224, y: 224, width: 96, height: 96 };
+        assert_eq!(seen(&[[39, 39]]), Some(vec![corner]));
+    }
+
+    #[test]
+    fn far_contacts_have_parts_of_their_own_and_near_ones_share() {
+        assert_eq!(seen(&[[2, 2], [35, 35]]).map(|w| w.len()), Some(2));
+        // Four tiles lie between them, as far as the margin.
+        assert_eq!(seen(&[[2, 2], [7, 2]]).map(|w| w.len()), Some(1));
+        // Five do; but a part for both is cheaper than two.
+        assert_eq!(seen(&[[2, 2], [8, 2]]).map(|w| w.len()), Some(1));
+    }
+
+    #[test]
+    fn much_contact_is_the_whole() {
+        // 96 × 96 of 320 × 320 are 0.09, and each costs 0.05 more: four are 0.56, five 0.7.
+        let corners = [[2, 2], [37, 37], [2, 37], [37, 2]];
+        assert_eq!(seen(&corners).map(|w| w.len()), Some(4));
+        assert_eq!(seen(&[&corners[..], &[[20, 20]]].concat()), None);
+        let diagonal: Vec<_> = (0..40).map(|i| [i, i]).collect();
+        assert_eq!(seen(&diagonal), None);
+        assert_eq!(
+            windows(&Map::of([40, 40], &[[2, 2]]), &SQUARE, &Scene { most_of_input: 0.1, ..SCENE }),
+            None
+        );
+    }
+
+    /// A field that is no multiple of 32 pixels: 25 mm are 200, and the input has 224.
+    #[test]
+    fn an_input_that_repeats_its_edge() {
+        let geometry = Geometry { resized: [200, 160], size: [160, 224] };
+        let map = Map::of([20, 25], &[[24, 19]]);
+        let got = windows(&map, &geometry, &SCENE).expect("a part");
+        // Pixels 192 to 200 and margin up to 224: from 160, 64 long, in 96; 128 up to 160 in 96.
+        assert_eq!(got, [Window { x: 128, y: 64, width: 96, height: 96 }]);
+    }
+
+    fn found(part: usize, score: f32, bbox: [f32; 4], cut: bool) -> Found {
+        let detection = Detection {
+            class: "A".into(),
+            class_index: 0,
+            score,
+            bbox,
+            center_mm: [0.0; 2],
+            center_std_mm: None,
+            yaw_deg: None,
+            yaw_std_deg: None,
+            whole: None,
+        };
+        Found { detection, part, cut }
+    }
+
+    #[test]
+    fn of_two_boxes_of_one_snap_the_whole_one_stays() {
+        let whole = found(0, 0.8, [10.0, 10.0, 50.0, 30.0], false);
+        let cut = found(1, 0.9, [30.0, 10.0, 50.0, 30.0], true);
+        let other = found(1, 0.7, [100.0, 10.0, 140.0, 30.0], false);
+        let kept = merged(vec![cut, whole, other], 0.5, 100);
+        assert_eq!(kept.iter().map(|d| d.score).collect::<Vec<_>>(), [0.8, 0.7]);
+        // Within a part the network has decided.
+        let twins = || [0.9, 0.8].map(|s| found(0, s, [10.0, 10.0, 50.0, 30.0], false)).into();
+        assert_eq!(merged(twins(), 0.5, 100).len(), 2);
+        assert_eq!(merged(twins(), 0.5, 1).len(), 1);
+    }
+
+    #[test]
+    fn only_inner_edges_cut() {
+        let window = Window { x: 0, y: 64, width: 96, height: 96 };
+        let size = [160, 224];
+        assert!(!is_cut([0.0, 70.0, 50.0, 160.0], &window, size));
+        assert!(is_cut([0.0, 65.0, 50.0, 160.0], &window, size));
+        assert!(is_cut([40.0, 70.0, 95.0, 100.0], &window, size));
+    }
+}

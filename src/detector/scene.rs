@@ -1,0 +1,107 @@
+//! What may be left out of a picture.
+
+use crate::detector::Detections;
+use crate::error::{Error, Result};
+
+/// What is left out where a picture does not need it, each saving for itself. A picture gets the same
+/// answer however busy the machine is: only what it shows decides.
+///
+/// ```
+/// use smr_gpu::{Config, Scene};
+///
+/// let everything = Config::new("weights/smrnet.safetensors").scene(Scene::FULL);
+/// let savings = Config::new("weights/smrnet.safetensors").scene(Scene::SAVING);
+/// assert!(savings.scene.regions && !everything.scene.regions);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Scene {
+    /// Where nothing touches the gel the network does not run: no snap.
+    pub contact: bool,
+    /// The network looks only where something touches the gel, and `margin_mm` round it, in parts that
+    /// make up at most `most_of_input` of its input; else at the whole.
+    pub regions: bool,
+    /// Proposals with an objectness of at most `objectness` do not reach the network's last part.
+    pub proposals: bool,
+    /// Gel round a contact that the network sees, in millimetres; from 0 to 60. What counts as contact reaches
+    /// up to 2 mm past what touches.
+    pub margin_mm: f32,
+    /// Share of the network's input above which all of it is computed; from 0 to 1.
+    pub most_of_input: f32,
+    /// The probability to be a snap that a proposal must be above; from 0 to 1.
+    pub objectness: f32,
+}
+
+impl Scene {
+    /// Nothing is left out.
+    pub const FULL: Self = Self {
+        contact: false,
+        regions: false,
+        proposals: false,
+        margin_mm: 3.0,
+        most_of_input: 0.8,
+        objectness: 0.02,
+    };
+    /// All that can be left out is.
+    pub const SAVING: Self = Self { contact: true, regions: true, proposals: true, ..Self::FULL };
+
+    /// What was left out of a picture in which a detector with this scene found `found`, and why, a line each;
+    /// nothing where all was looked at.
+    pub fn left_out(&self, found: &Detections) -> Vec<String> {
+        if found.reused {
+            return vec![
+                "the frame: it equals an earlier one within the sensor's noise".to_owned(),
+            ];
+        }
+        if self.contact && found.contact == Some(false) {
+            return vec!["the network: nothing touches the gel".to_owned()];
+        }
+        let mut left = Vec::new();
+        if let Some(regions) = &found.regions {
+            let area = |width, height| f64::from(width) * f64::from(height);
+            let seen: f64 = regions.iter().map(|r| area(r.width, r.height)).sum();
+            // Parts may overlap.
+            let share = (1.0 - seen / area(found.width, found.height)).max(0.0);
+            let margin = self.margin_mm;
+            left.push(format!("{share:.2} of the frame: no contact within {margin} mm of it"));
+        }
+        if self.proposals {
+            let least = self.objectness;
+            left.push(format!("proposals: their objectness is at most {least}"));
+        }
+        left
+    }
+
+    /// Whether somebody must look for contact.
+    pub(super) fn looks(&self) -> bool {
+        self.contact || self.regions
+    }
+
+    /// What the objectness of a proposal must be above.
+    pub(super) fn least_objectness(&self) -> f32 {
+        if self.proposals { self.objectness } else { f32::NEG_INFINITY }
+    }
+
+    /// # Errors
+    /// [`Error::Param`] for a number out of its range.
+    pub(super) fn check(&self) -> Result<()> {
+        let ranges = [
+            ("margin_mm", self.margin_mm, 60.0),
+            ("most_of_input", self.most_of_input, 1.0),
+            ("objectness", self.objectness, 1.0),
+        ];
+        for (name, value, most) in ranges {
+            // A NaN is in no range.
+            if !(0.0..=most).contains(&value) {
+                let expected = format!("a number from 0 to {most}");
+                return Err(Error::param("detect", name, expected, value));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Default for Scene {
+    fn default() -> Self {
+        Self::FULL
+    }
+}

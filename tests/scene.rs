@@ -1,0 +1,172 @@
+//! What is left out of pictures that do not need it, and that nothing else changes.
+
+use std::path::{Path, PathBuf};
+
+use smr_gpu::detector::MOST_REUSED;
+use smr_gpu::gpu::AdapterChoice;
+use smr_gpu::metrics::box_iou;
+use smr_gpu::{Config, Device, Frame, GpuDetector, PixelFormat, Scene, picture};
+
+const SIDE: u32 = 1000;
+
+fn file(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+fn config(device: Device, scene: Scene) -> Config {
+    Config::new(file("weights/smrnet-s.safetensors")).device(device).scene(scene).score(0.5)
+}
+
+/// Gel under uneven light, with noise of ±2 levels from a seed, where `mark` says how much brighter each
+/// pixel is.
+fn gel(seed: u32, gain: f32, mark: impl Fn(u32, u32) -> f32) -> Frame<'static> {
+    let pixel = |i: u32| {
+        let (x, y) = (i % SIDE, i / SIDE);
+        // 40 levels from one corner to the other, and a vignette of 20.
+        let light = 100.0 + 0.02 * (x + y) as f32;
+        let [dx, dy] = [x, y].map(|at| (at as f32 - 500.0) / 500.0);
+        let noise = (i ^ seed.wrapping_mul(0x9e37_79b9)).wrapping_mul(2_654_435_761) >> 24;
+        let level = light - 10.0 * (dx * dx + dy * dy) + mark(x, y);
+        (level * gain + (noise % 5) as f32 - 2.0).round() as u8
+    };
+    let pixels: Vec<u8> = (0..SIDE * SIDE).map(pixel).collect();
+    Frame::new(pixels, SIDE, SIDE, PixelFormat::Gray8)
+}
+
+/// A disc of 3 mm radius round a place.
+fn disc(cx: u32, cy: u32) -> impl Fn(u32, u32) -> f32 {
+    move |x, y| {
+        let [dx, dy] = [x.abs_diff(cx), y.abs_diff(cy)];
+        if dx * dx + dy * dy < 75 * 75 { 30.0 } else { 0.0 }
+    }
+}
+
+/// Printed dots of 0.6 mm, 2 mm apart.
+fn dots(x: u32, y: u32) -> f32 {
+    if x % 50 < 15 && y % 50 < 15 { -60.0 } else { 0.0 }
+}
+
+#[test]
+fn without_contact_the_network_does_not_run() {
+    let scene = Scene { contact: true, ..Scene::FULL };
+    for device in [Device::Gpu(AdapterChoice::Auto), Device::Cpu, Device::Reference] {
+        let detector = GpuDetector::new(config(device.clone(), scene)).expect("a detector");
+        let bare = detector.detect_frame(&gel(1, 1.0, |_, _| 0.0)).expect("detections");
+        assert_eq!((bare.contact, bare.detections.len()), (Some(false), 0), "{device:?}");
+        assert!(bare.stages.iter().all(|time| time.stage == "contact"), "{:?}", bare.stages);
+        assert_eq!((bare.width, bare.mm_per_pixel, bare.proposals), (SIDE, 0.04, 0));
+    }
+    let detector = GpuDetector::new(config(Device::Cpu, scene)).expect("a detector");
+    let touched = detector.detect_frame(&gel(1, 1.0, disc(500, 300))).expect("detections");
+    assert_eq!(touched.contact, Some(true));
+    assert!(touched.stages.len() > 1, "the network ran");
+    let detector = GpuDetector::new(config(Device::Cpu, Scene::FULL)).expect("a detector");
+    let bare = detector.detect_frame(&gel(1, 1.0, |_, _| 0.0)).expect("detections");
+    assert_eq!(bare.contact, None, "nobody looked");
+    assert!(bare.stages.len() > 1, "the network ran");
+}
+
+/// Dots look like contact, but not against a frame that has them too, in other light.
+#[test]
+fn a_reference_frame_tells_marks_from_contact() {
+    let scene = Scene { contact: true, ..Scene::FULL };
+    let contact = |config: Config, frame: &Frame| {
+        let detector = GpuDetector::new(config).expect("a detector");
+        detector.detect_frame(frame).expect("detections").contact
+    };
+    let marked = gel(1, 1.0, dots);
+    let own = config(Device::Cpu, scene);
+    assert_eq!(contact(own.clone(), &marked), Some(true));
+    let against = own.reference(gel(2, 0.8, dots));
+    assert_eq!(contact(against.clone(), &marked), Some(false));
+    let pressed = gel(1, 1.0, |x, y| dots(x, y) + disc(300, 300)(x, y));
+    assert_eq!(contact(against.clone(), &pressed), Some(true));
+    // Frames of another size have no reference.
+    let pixels = vec![128; 500 * 500];
+    assert_eq!(contact(against, &Frame::new(pixels, 500, 500, PixelFormat::Gray8)), Some(false));
+}
+
+#[test]
+fn parts_and_live_proposals_find_the_snap_that_the_whole_finds() {
+    let picture = picture::read(file("samples/stud.png")).expect("a sample").into_rgb8();
+    let frame = Frame::new(picture.as_raw(), SIDE, SIDE, PixelFormat::Rgb8);
+    let detect = |config: Config| {
+        let detector = GpuDetector::new(config).expect("a detector");
+        detector.detect_frame(&frame).expect("detections")
+    };
+    let whole = detect(config(Device::Cpu, Scene::FULL));
+    let [stud] = &whole.detections[..] else { panic!("one stud, not {:?}", whole.detections) };
+    assert_eq!((whole.contact, &whole.regions), (None, &None));
+    // Of the places that are more likely none than a snap, not one gets to the end.
+    let live = Scene { proposals: true, objectness: 0.5, ..Scene::FULL };
+    let live = detect(config(Device::Cpu, live));
+    let [all, few] = [whole.proposals, live.proposals];
+    assert!(few > 0 && few < all, "{few} of {all} proposals");
+    assert_eq!(live.detections.len(), 1);
+    // As if there had been a frame before: the other half's gel where the stud is.
+    let mut bare = picture.clone();
+    let [x1, y1, x2, y2] = stud.bbox;
+    for y in y1 as u32 - 25..y2 as u32 + 25 {
+        for x in x1 as u32 - 25..x2 as u32 + 25 {
+            bare.put_pixel(x, y, *picture.get_pixel(SIDE - 1 - x, y));
+        }
+    }
+    let reference = Frame::new(bare.into_raw(), SIDE, SIDE, PixelFormat::Rgb8);
+    for device in [Device::Cpu, Device::Gpu(AdapterChoice::Auto)] {
+        let parts = detect(config(device, Scene::SAVING).reference(reference.clone()));
+        assert_eq!(parts.contact, Some(true));
+        let [part] = parts.regions.as_deref().expect("parts") else {
+            panic!("{:?}", parts.regions)
+        };
+        assert!(part.width < SIDE && part.height < SIDE, "{part:?}");
+        let [x, y] = [(x1 + x2) / 2.0 - part.x as f32, (y1 + y2) / 2.0 - part.y as f32];
+        assert!(x > 0.0 && y > 0.0 && x < part.width as f32 && y < part.height as f32);
+        let [found] = &parts.detections[..] else { panic!("one stud: {:?}", parts.detections) };
+        // The attention sees other surroundings; a tenth of the stud on each side is much.
+        let iou = box_iou(found.bbox.map(f64::from), stud.bbox.map(f64::from));
+        assert!(found.class == stud.class && iou > 0.8, "{found:?} is not {stud:?}");
+    }
+}
+
+#[test]
+fn impossible_scenes_are_refused() {
+    for scene in [
+        Scene { margin_mm: f32::NAN, ..Scene::SAVING },
+        Scene { most_of_input: 1.5, ..Scene::SAVING },
+        Scene { objectness: -0.1, ..Scene::SAVING },
+    ] {
+        let error = GpuDetector::new(config(Device::Cpu, scene)).expect_err("an error");
+        assert!(error.to_string().contains("a number from 0 to"), "{error}");
+    }
+}
+
+#[test]
+fn a_stream_keeps_what_did_not_change_and_no_longer_than_stated() {
+    let scene = Scene { contact: true, ..Scene::FULL };
+    for device in [Device::Gpu(AdapterChoice::Auto), Device::Cpu] {
+        let detector = GpuDetector::new(config(device, scene)).expect("a detector");
+        let mut stream = detector.stream();
+        // Noise changes, and the light, a little.
+        let still = |seed: u32| gel(seed, 1.0 - 0.002 * (seed % 5) as f32, disc(400, 400));
+        let mut reused = Vec::new();
+        for seed in 0..MOST_REUSED + 3 {
+            let found = stream.detect(&still(seed)).expect("detections");
+            assert_eq!(found.contact, Some(true));
+            reused.push(found.reused);
+        }
+        let computed: Vec<usize> = (0..reused.len()).filter(|i| !reused[*i]).collect();
+        assert_eq!(computed, [0, MOST_REUSED as usize + 1]);
+        // A slide by a millimetre.
+        assert!(!stream.detect(&gel(90, 1.0, disc(425, 400))).expect("detections").reused);
+        assert!(stream.detect(&gel(91, 1.0, disc(425, 400))).expect("detections").reused);
+        // And what is away.
+        let away = stream.detect(&gel(92, 1.0, |_, _| 0.0)).expect("detections");
+        assert_eq!((away.reused, away.contact), (false, Some(false)));
+    }
+    // Frames in a row, as an iterator.
+    let detector = GpuDetector::new(config(Device::Cpu, scene)).expect("a detector");
+    let frames = [gel(1, 1.0, |_, _| 0.0), gel(2, 1.0, |_, _| 0.0)];
+    let reused: Vec<bool> =
+        detector.detect_stream(frames).map(|found| found.expect("detections").reused).collect();
+    assert_eq!(reused, [false, true]);
+}

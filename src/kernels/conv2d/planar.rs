@@ -27,8 +27,11 @@ shader_params! {
     }
 }
 
-static SHADER: Shader =
-    Shader { stem: "conv2d", source: include_str!("../../../wgsl/conv2d.wgsl"), params: PARAMS };
+static SHADER: Shader = Shader {
+    stem: "conv2d/planar",
+    source: include_str!("../../../wgsl/conv2d/planar.wgsl"),
+    params: PARAMS,
+};
 
 /// Output pixels that one workgroup computes.
 const PIXELS: usize = 64;

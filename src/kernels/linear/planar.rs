@@ -23,8 +23,11 @@ shader_params! {
     }
 }
 
-static SHADER: Shader =
-    Shader { stem: "linear", source: include_str!("../../../wgsl/linear.wgsl"), params: PARAMS };
+static SHADER: Shader = Shader {
+    stem: "linear/planar",
+    source: include_str!("../../../wgsl/linear/planar.wgsl"),
+    params: PARAMS,
+};
 
 /// Rows that one workgroup computes.
 const ROWS: usize = 8;

@@ -2,9 +2,9 @@
 
 use crate::error::Result;
 use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::kernels::{Dispatch, Grid, Io, Plain, Recording, Work};
 use crate::ops::{IndirectGrid, Op};
-use crate::shader::{Shader, Variant, shader_params};
+use crate::shader::{Shader, shader_params};
 use crate::shape::TensorSpec;
 
 shader_params! {
@@ -23,28 +23,11 @@ static SHADER: Shader = Shader {
 };
 
 /// The definition, on planar maps.
-#[derive(Debug)]
-pub(super) struct Planar;
+pub(super) static PLANAR: Plain = Plain { id: "indirect_grid/planar", shader: &SHADER, dispatch };
 
-impl Kernel for Planar {
-    fn id(&self) -> &'static str {
-        "indirect_grid/planar"
-    }
-
-    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
-    }
-
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        record(work.op()?, recording, inputs[0], outputs[0]);
-        Ok(())
-    }
+fn dispatch(work: &Work, _: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {
+    let op: &IndirectGrid = work.op()?;
+    Ok(of(op, inputs[0], outputs[0]))
 }
 
 /// Records the grid for `count` in a tensor of its own.
@@ -55,11 +38,11 @@ pub(super) fn scratch(
 ) -> Result<TensorId> {
     op.infer(&[recording.info(count).spec.clone()])?;
     let grid = recording.scratch("grid", TensorSpec::u32([3]));
-    record(op, recording, count, grid);
+    recording.dispatch(of(op, count, grid));
     Ok(grid)
 }
 
-fn record(op: &IndirectGrid, recording: &mut Recording, count: TensorId, grid: TensorId) {
+fn of(op: &IndirectGrid, count: TensorId, grid: TensorId) -> Dispatch {
     let params = Params {
         capacity: op.capacity as u32,
         items_per_count: op.items_per_count,
@@ -68,5 +51,5 @@ fn record(op: &IndirectGrid, recording: &mut Recording, count: TensorId, grid: T
     };
     let bindings = [("count", count), ("grid", grid)];
     let one = Grid::Workgroups([1, 1, 1]);
-    recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, one));
+    Dispatch::new(&SHADER, "main", &params, &bindings, one)
 }

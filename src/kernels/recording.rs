@@ -322,6 +322,14 @@ impl Recording {
         self.commands.push(Command::Dispatch(dispatch));
     }
 
+    /// Appends a dispatch of a shader with `wgsl/shared/texels.wgsl`, in the variant that reads `read` and
+    /// writes `written` as they are stored.
+    pub fn dispatch_maps(&mut self, dispatch: Dispatch, read: TensorId, written: TensorId) {
+        let [read, written] = [read, written].map(|id| self.info(id).precision);
+        let variant = texels(dispatch.variant.clone(), read, written);
+        self.dispatch(dispatch.variant(variant));
+    }
+
     /// Appends a copy of [`Layout::Quads`] to [`Layout::Texture`].
     pub fn copy(&mut self, from: TensorId, to: TensorId) {
         self.commands.push(Command::Copy { from, to });
@@ -358,11 +366,6 @@ impl Recording {
     /// What is known of a tensor.
     pub fn info(&self, id: TensorId) -> &TensorInfo {
         &self.tensors[id.0]
-    }
-
-    /// The variant of a shader with `wgsl/shared/texels.wgsl` that reads `read` and writes `written`.
-    pub fn texels(&self, variant: Variant, read: TensorId, written: TensorId) -> Variant {
-        texels(variant, self.info(read).precision, self.info(written).precision)
     }
 
     /// Shape of a tensor as a slice.
@@ -413,6 +416,11 @@ pub(super) fn all_texels(variant: &Variant) -> [Variant; 4] {
     use Precision::{F16, F32};
     [(F32, F32), (F32, F16), (F16, F32), (F16, F16)]
         .map(|(read, written)| texels(variant.clone(), read, written))
+}
+
+/// A shader with `wgsl/shared/texels.wgsl` in all of those.
+pub(super) fn of_maps(shader: &'static Shader) -> Vec<(&'static Shader, Variant)> {
+    all_texels(&Variant::default()).map(|variant| (shader, variant)).into()
 }
 
 #[cfg(test)]

@@ -231,7 +231,7 @@ impl Layouts<'_> {
             outputs.push(place);
         }
         let first = self.recording.commands().len();
-        kernel.record(work, &mut self.recording, &inputs, &outputs)?;
+        kernel.record(work, &mut self.recording, (&inputs, &outputs))?;
         if !kernel.batched() {
             self.recording.for_each_picture(first);
         }

@@ -2,12 +2,11 @@
 
 use crate::cpu;
 use crate::error::{Error, Result};
-use crate::graph::TensorId;
 use crate::kernels::count::{count_tensor, row_grid};
 use crate::kernels::products::Lanes;
 use crate::kernels::weights::Packing;
 use crate::kernels::{
-    Caps, Dispatch, Grid, Kernel, MAX_WORKGROUPS, Recording, Work, indirect_grid,
+    Caps, Dispatch, Grid, Io, Kernel, MAX_WORKGROUPS, Recording, Work, indirect_grid,
 };
 use crate::ops::bounds::{magnitude, moved_sum};
 use crate::ops::linear::slices;
@@ -127,13 +126,7 @@ impl Kernel for Gemm {
         Plan::of(work).is_some()
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let op: &Linear = work.op()?;
         let none = || Error::tensor(op.name(), "weight", "one that fits a texture", "a larger one");
         let plan = Plan::of(work).ok_or_else(none)?;
@@ -190,8 +183,7 @@ impl Kernel for Gemm {
         let grid = row_grid(recording, given, rows, plan.outputs, FINISH)?;
         let bindings =
             [("count", count), ("partials", partials), ("bias", bias), ("output", outputs[0])];
-        let scale = weight.scale.map(|id| ("scale", id));
-        let bindings: Vec<_> = bindings.into_iter().chain(scale).collect();
+        let bindings = weight.scaled(&bindings);
         let finish = Dispatch::new(&SHADER, "finish", &params, &bindings, grid);
         recording.dispatch(finish.variant(variant));
         Ok(())

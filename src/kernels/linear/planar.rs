@@ -1,10 +1,9 @@
 //! Without subgroups.
 
 use crate::error::Result;
-use crate::graph::TensorId;
 use crate::kernels::count::count_tensor;
 use crate::kernels::count::row_grid;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work, indirect_grid};
+use crate::kernels::{Caps, Dispatch, Grid, Io, Kernel, Recording, Work, indirect_grid};
 use crate::ops::linear::slices;
 use crate::ops::{IndirectGrid, Linear, Op};
 use crate::shader::{Shader, Variant, shader_params};
@@ -48,13 +47,7 @@ impl Kernel for Planar {
         vec![(&SHADER, Variant::default())]
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let op: &Linear = work.op()?;
         let name = recording.info(inputs[1]).name.clone();
         let weight = recording.weights(op.name(), inputs[1])?;

@@ -22,7 +22,7 @@ mod decode_pose;
 mod decode_proposals;
 mod gather_rows;
 mod global_avg_pool;
-mod indirect_grid;
+pub(crate) mod indirect_grid;
 mod linear;
 mod max_pool2d;
 mod nms;

@@ -1,8 +1,7 @@
 //! Softmax over rows.
 
 use crate::error::Result;
-use crate::kernels::count::count_tensor;
-use crate::kernels::count::row_grid;
+use crate::kernels::count::{count_tensor, row_grid};
 use crate::kernels::{Dispatch, Io, Plain, Recording, Work};
 use crate::ops::Softmax;
 use crate::shader::{Shader, shader_params};
@@ -30,7 +29,7 @@ fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Re
     let [rows, columns] = [0, 1].map(|i| recording.dims(inputs[0])[i]);
     let given = inputs.get(1).copied();
     let count = count_tensor(recording, given, rows);
-    let grid = row_grid(recording, given, rows, LANES as usize, LANES)?;
+    let grid = row_grid(recording, given, rows, [LANES as usize, 1], LANES)?;
     let bindings = [("input", inputs[0]), ("count", count), ("output", outputs[0])];
     let params =
         Params { rows: rows as u32, columns: columns as u32, scale: 1.0 / op.temperature, zero: 0 };

@@ -1,8 +1,7 @@
 //! The definition, on planar maps.
 
 use crate::error::Result;
-use crate::kernels::count::count_tensor;
-use crate::kernels::count::row_grid;
+use crate::kernels::count::{count_tensor, row_grid};
 use crate::kernels::{Dispatch, Io, Plain, Recording, Work};
 use crate::ops::RoiAlign;
 use crate::shader::{Shader, shader_params};
@@ -36,7 +35,7 @@ fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Re
     let given = inputs.get(2).copied();
     let count = count_tensor(recording, given, rois);
     let items = op.output_size * op.output_size * channels.div_ceil(4);
-    let grid = row_grid(recording, given, rois, items, 64)?;
+    let grid = row_grid(recording, given, rois, [items, 1], 64)?;
     let params = Params {
         channels: channels as u32,
         height: height as u32,

@@ -829,6 +829,7 @@ impl Gpu {
                 zero_initialize_workgroup_memory: false,
                 ..Default::default()
             },
+            // Drivers that keep compiled shaders do so without one: docs/rejected.md.
             cache: None,
         });
         let bindings = entry.bindings.clone();

@@ -1,7 +1,7 @@
 //! Puts small faults into the shaders and tells which check notices each.
 //!
 //! ```sh
-//! cargo run --release --example mutants -- [--per-file 8] [--seed 1] [--file conv2d] [--sample 1]
+//! cargo run --release --example mutants -- [--per-file 8] [--seed 1] [--file conv2d/planar] [--sample 1]
 //! ```
 //!
 //! Each mutant runs through the cases of every operation that has its file, hand-computed cases

@@ -100,7 +100,7 @@ pub fn costs(
                 entry.map_or(0, |e| e.workgroup_size.iter().map(|n| u64::from(*n)).product());
             cost.workgroups = match dispatch.grid {
                 Grid::Workgroups(grid) => grid.iter().map(|n| u64::from(*n)).product(),
-                Grid::Indirect(_) => 0,
+                Grid::Counted(..) | Grid::Indirect(..) => 0,
             };
             cost.multiply_adds = own.op.multiply_adds(&read, &wrote);
         }

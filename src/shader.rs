@@ -73,7 +73,7 @@ const SHARED: &[(&str, &str)] = &[
 /// Another text for one file under `wgsl/`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Replacement {
-    /// The file's name without its ending: `conv2d`, `shared/reduce`.
+    /// The file's name without its ending: `conv2d/planar`, `shared/reduce`.
     pub file: String,
     /// Its text.
     pub text: String,

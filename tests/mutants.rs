@@ -35,7 +35,7 @@ struct Fault {
 const FAULTS: &[Fault] = &[
     Fault {
         what: "the last row of a whole tile is not stored",
-        file: "linear",
+        file: "linear/planar",
         changes: &[("if first + 7u < rows", "if first + 8u < rows")],
         op: "linear",
         case: "a whole tile",
@@ -43,7 +43,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "the last row of a whole tile is not stored, where a count limits the rows",
-        file: "linear",
+        file: "linear/planar",
         changes: &[("if first + 7u < rows", "if first + 8u < rows")],
         op: "linear",
         case: "two whole tiles, counted",
@@ -51,7 +51,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "rows behind the count are written, with sums of what was there",
-        file: "linear",
+        file: "linear/planar",
         changes: &[
             ("fn finish(", "fn finish("),
             ("if row >= min(count[0], params.rows)", "if row >= max(count[0], params.rows)"),
@@ -234,7 +234,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "the kernel's height and width exchanged",
-        file: "conv2d",
+        file: "conv2d/planar",
         changes: &[
             ("ky < params.kernel_height", "ky < params.kernel_width"),
             ("kx < params.kernel_width", "kx < params.kernel_height"),
@@ -350,7 +350,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "every second channel with the weights of the one before",
-        file: "conv2d",
+        file: "conv2d/planar",
         changes: &[("n1 = fma(n, vec4<f32>(u.y), n1)", "n1 = fma(n, vec4<f32>(u.x), n1)")],
         op: "conv2d",
         case: "two channels to three by hand",
@@ -420,7 +420,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "stride and dilation exchanged",
-        file: "conv2d",
+        file: "conv2d/planar",
         changes: &[(
             "oy * params.stride + ky * params.dilation",
             "oy * params.dilation + ky * params.stride",
@@ -431,7 +431,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "a padding of one row less",
-        file: "conv2d",
+        file: "conv2d/planar",
         changes: &[(
             "ky * params.dilation - params.padding",
             "ky * params.dilation - params.padding + 1u",
@@ -450,7 +450,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "sums kept in f16",
-        file: "conv2d",
+        file: "conv2d/planar",
         changes: &[(
             "near_sums[0] += n0;",
             "let h = near_sums[0] + n0; near_sums[0] = vec4<f32>(\

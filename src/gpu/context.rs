@@ -222,9 +222,9 @@ fn instance() -> &'static wgpu::Instance {
     INSTANCE.get_or_init(|| {
         let mut desc = wgpu::InstanceDescriptor::new_without_display_handle();
         desc.backends = wgpu::Backends::PRIMARY;
-        // `indirect_grid` keeps to the limits, and nothing that is dispatched so reads how many
-        // workgroups there are (`Program` refuses it): wgpu need not look at every grid once more on
-        // the device.
+        // wgpu need not look at every indirect grid once more on the device: `indirect_grid` keeps to
+        // the limits whatever the count, and nothing that is dispatched so reads how many workgroups
+        // there are. `Program` refuses what does, and a test of `crate::lower` looks at every kernel.
         desc.flags.remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
         wgpu::Instance::new(desc)
     })
@@ -829,6 +829,7 @@ impl Gpu {
                 zero_initialize_workgroup_memory: false,
                 ..Default::default()
             },
+            // Drivers that keep compiled shaders do so without one: docs/rejected.md.
             cache: None,
         });
         let bindings = entry.bindings.clone();

@@ -338,13 +338,16 @@ impl Program {
         }
         let grid = match dispatch.grid {
             Grid::Workgroups(n) => StepGrid::Direct(n),
-            Grid::Indirect(_) if pipeline.reads_grid => {
+            Grid::Counted(..) => {
+                return Err(mismatch(dispatch, "a count that was not lowered to a grid".into()));
+            }
+            Grid::Indirect(..) if pipeline.reads_grid => {
                 let message = "an indirect dispatch of what reads the number of workgroups";
                 return Err(mismatch(dispatch, message.into()));
             }
-            Grid::Indirect(id) => {
+            Grid::Indirect(id, offset) => {
                 let first = self.part(dispatch, id).map_or(0, |(first, _)| first);
-                StepGrid::Indirect(self.place(dispatch, id)?, first)
+                StepGrid::Indirect(self.place(dispatch, id)?, first + offset)
             }
         };
         let picture = dispatch.picture;

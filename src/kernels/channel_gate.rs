@@ -1,10 +1,9 @@
 //! CBAM's channel gate.
 
 use crate::error::{Error, Result};
-use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::kernels::{Dispatch, Grid, Io, Plain, Recording, Work};
 use crate::ops::{ChannelGate, Op};
-use crate::shader::{Shader, Variant, shader_params};
+use crate::shader::{Shader, shader_params};
 
 shader_params! {
     struct Params {
@@ -24,39 +23,21 @@ static SHADER: Shader = Shader {
 const CAPACITY: usize = 1024;
 
 /// The definition, on planar maps.
-#[derive(Debug)]
-pub(super) struct Planar;
+pub(super) static PLANAR: Plain = Plain { id: "channel_gate/planar", shader: &SHADER, dispatch };
 
-impl Kernel for Planar {
-    fn id(&self) -> &'static str {
-        "channel_gate/planar"
+fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {
+    let op: &ChannelGate = work.op()?;
+    let [hidden, channels] = [0, 1].map(|i| recording.dims(inputs[1])[i]);
+    if hidden > CAPACITY {
+        return Err(Error::Capacity {
+            what: format!("{}: hidden units", op.name()),
+            needed: hidden as u64,
+            available: CAPACITY as u64,
+        });
     }
-
-    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
-    }
-
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let op: &ChannelGate = work.op()?;
-        let [hidden, channels] = [0, 1].map(|i| recording.dims(inputs[1])[i]);
-        if hidden > CAPACITY {
-            return Err(Error::Capacity {
-                what: format!("{}: hidden units", op.name()),
-                needed: hidden as u64,
-                available: CAPACITY as u64,
-            });
-        }
-        let params = Params { channels: channels as u32, hidden: hidden as u32, zero: 0 };
-        let mut bindings: Vec<_> = op.inputs().into_iter().zip(inputs.iter().copied()).collect();
-        bindings.push(("output", outputs[0]));
-        let grid = Grid::Workgroups([1, 1, 1]);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
-    }
+    let params = Params { channels: channels as u32, hidden: hidden as u32, zero: 0 };
+    let mut bindings: Vec<_> = op.inputs().into_iter().zip(inputs.iter().copied()).collect();
+    bindings.push(("output", outputs[0]));
+    let grid = Grid::Workgroups([1, 1, 1]);
+    Ok(Dispatch::new(&SHADER, "main", &params, &bindings, grid))
 }

@@ -1,8 +1,7 @@
 //! Where something touches the gel.
 
 use crate::error::Result;
-use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::kernels::{Caps, Dispatch, Grid, Io, Kernel, Recording, Work};
 use crate::ops::Contact;
 use crate::shader::{Shader, Variant, shader_params};
 use crate::shape::TensorSpec;
@@ -37,13 +36,7 @@ impl Kernel for Planar {
         vec![(&SHADER, Variant::default())]
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let op: &Contact = work.op()?;
         let [height, width] = [1, 2].map(|i| recording.dims(inputs[0])[i]);
         let [rows, columns] = Contact::tiles([height, width]);

@@ -1,9 +1,10 @@
 //! Counts on the device: dispatches over the rows in use.
 
+use crate::cpu;
 use crate::error::{Error, Result};
 use crate::graph::TensorId;
-use crate::kernels::{Grid, Recording, indirect_grid};
-use crate::ops::IndirectGrid;
+use crate::kernels::{Grid, Recording};
+use crate::ops::{IndirectGrid, Op};
 use crate::tensor::Tensor;
 
 /// The count to bind: the given one, or a constant that says that every row is in use.
@@ -19,25 +20,29 @@ pub(super) fn count_tensor(
     })
 }
 
-/// Workgroups of `size` for `capacity` rows of `items` invocations each: indirect over the rows in
-/// use where there is a count.
+/// Workgroups of `workgroup_size` for `capacity` rows of `items` invocations each, in so many layers; for
+/// the rows in use alone where there is a count.
 pub(super) fn row_grid(
-    recording: &mut Recording,
+    recording: &Recording,
     count: Option<TensorId>,
     capacity: usize,
-    items: usize,
-    size: u32,
+    [items, layers]: [usize; 2],
+    workgroup_size: u32,
 ) -> Result<Grid> {
+    let items_per_count = u32::try_from(items).map_err(|_| Error::Capacity {
+        what: "invocations for one row".into(),
+        needed: items as u64,
+        available: u64::from(u32::MAX),
+    })?;
+    let layers = layers as u32;
     Ok(match count {
-        None => Grid::linear(capacity * items, size),
+        None => {
+            Grid::Workgroups(cpu::indirect_grid(capacity, items_per_count, workgroup_size, layers))
+        }
         Some(count) => {
-            let items_per_count = u32::try_from(items).map_err(|_| Error::Capacity {
-                what: "invocations for one row".into(),
-                needed: items as u64,
-                available: u64::from(u32::MAX),
-            })?;
-            let op = IndirectGrid { capacity, items_per_count, workgroup_size: size, layers: 1 };
-            Grid::Indirect(indirect_grid::scratch(&op, recording, count)?)
+            let rule = IndirectGrid { capacity, items_per_count, workgroup_size, layers };
+            rule.infer(&[recording.info(count).spec.clone()])?;
+            Grid::Counted(count, rule)
         }
     })
 }

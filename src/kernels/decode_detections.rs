@@ -1,8 +1,7 @@
 //! Detections from the RoI head.
 
 use crate::error::Result;
-use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::kernels::{Caps, Dispatch, Grid, Io, Kernel, Recording, Work};
 use crate::ops::DecodeDetections;
 use crate::shader::{Shader, Variant, shader_params};
 
@@ -39,13 +38,7 @@ impl Kernel for Planar {
         vec![(&SHADER, Variant::default())]
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let op: &DecodeDetections = work.op()?;
         let [rois, classes] = [0, 1].map(|i| recording.dims(inputs[2])[i]);
         let [weight_x, weight_y, weight_width, weight_height] = op.weights;

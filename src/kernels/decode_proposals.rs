@@ -1,10 +1,9 @@
 //! Proposals from the region proposal head.
 
 use crate::error::Result;
-use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::kernels::{Dispatch, Grid, Io, Plain, Recording, Work};
 use crate::ops::DecodeProposals;
-use crate::shader::{Shader, Variant, shader_params};
+use crate::shader::{Shader, shader_params};
 use crate::tensor::Tensor;
 
 shader_params! {
@@ -26,50 +25,33 @@ static SHADER: Shader = Shader {
 };
 
 /// The definition, on planar maps.
-#[derive(Debug)]
-pub(super) struct Planar;
+pub(super) static PLANAR: Plain =
+    Plain { id: "decode_proposals/planar", shader: &SHADER, dispatch };
 
-impl Kernel for Planar {
-    fn id(&self) -> &'static str {
-        "decode_proposals/planar"
-    }
-
-    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
-    }
-
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let op: &DecodeProposals = work.op()?;
-        let [height, width] = [1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
-        let capacity = recording.dims(inputs[1])[0];
-        let cell = Tensor::new([op.anchors.len(), 4], op.anchors.concat())?;
-        let anchors = recording.constant("anchors", cell);
-        let params = Params {
-            anchors: op.anchors.len() as u32,
-            height,
-            width,
-            capacity: capacity as u32,
-            stride: op.stride as f32,
-            picture_width: op.width as f32,
-            picture_height: op.height as f32,
-        };
-        let bindings = [
-            ("deltas", inputs[0]),
-            ("logits", inputs[1]),
-            ("indices", inputs[2]),
-            ("count", inputs[3]),
-            ("anchors", anchors),
-            ("boxes", outputs[0]),
-            ("scores", outputs[1]),
-        ];
-        let grid = Grid::linear(capacity, 64);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
-    }
+fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {
+    let op: &DecodeProposals = work.op()?;
+    let [height, width] = [1, 2].map(|i| recording.dims(inputs[0])[i] as u32);
+    let capacity = recording.dims(inputs[1])[0];
+    let cell = Tensor::new([op.anchors.len(), 4], op.anchors.concat())?;
+    let anchors = recording.constant("anchors", cell);
+    let params = Params {
+        anchors: op.anchors.len() as u32,
+        height,
+        width,
+        capacity: capacity as u32,
+        stride: op.stride as f32,
+        picture_width: op.width as f32,
+        picture_height: op.height as f32,
+    };
+    let bindings = [
+        ("deltas", inputs[0]),
+        ("logits", inputs[1]),
+        ("indices", inputs[2]),
+        ("count", inputs[3]),
+        ("anchors", anchors),
+        ("boxes", outputs[0]),
+        ("scores", outputs[1]),
+    ];
+    let grid = Grid::linear(capacity, 64);
+    Ok(Dispatch::new(&SHADER, "main", &params, &bindings, grid))
 }

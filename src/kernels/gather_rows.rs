@@ -1,11 +1,10 @@
 //! Rows of a tensor by index.
 
 use crate::error::Result;
-use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::kernels::{Dispatch, Grid, Io, Plain, Recording, Work};
 use crate::ops::GatherRows;
 use crate::ops::gather_rows::layout;
-use crate::shader::{Shader, Variant, shader_params};
+use crate::shader::{Shader, shader_params};
 
 shader_params! {
     struct Params {
@@ -22,39 +21,16 @@ static SHADER: Shader = Shader {
 };
 
 /// The definition, on planar maps.
-#[derive(Debug)]
-pub(super) struct Planar;
+pub(super) static PLANAR: Plain = Plain { id: "gather_rows/planar", shader: &SHADER, dispatch };
 
-impl Kernel for Planar {
-    fn id(&self) -> &'static str {
-        "gather_rows/planar"
-    }
-
-    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
-    }
-
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let _op: &GatherRows = work.op()?;
-        let (rows, columns) = layout(recording.dims(inputs[0])).unwrap_or((1, 1));
-        let capacity = recording.dims(inputs[1])[0];
-        let params =
-            Params { rows: rows as u32, columns: columns as u32, capacity: capacity as u32 };
-        let bindings = [
-            ("rows", inputs[0]),
-            ("indices", inputs[1]),
-            ("count", inputs[2]),
-            ("output", outputs[0]),
-        ];
-        // Not indirect: a copy costs less than the dispatch that would save it.
-        let grid = Grid::linear(capacity * columns, 64);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
-    }
+fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {
+    let _op: &GatherRows = work.op()?;
+    let (rows, columns) = layout(recording.dims(inputs[0])).unwrap_or((1, 1));
+    let capacity = recording.dims(inputs[1])[0];
+    let params = Params { rows: rows as u32, columns: columns as u32, capacity: capacity as u32 };
+    let bindings =
+        [("rows", inputs[0]), ("indices", inputs[1]), ("count", inputs[2]), ("output", outputs[0])];
+    // Not indirect: a copy costs less than the dispatch that would save it.
+    let grid = Grid::linear(capacity * columns, 64);
+    Ok(Dispatch::new(&SHADER, "main", &params, &bindings, grid))
 }

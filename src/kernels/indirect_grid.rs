@@ -1,18 +1,20 @@
-//! Workgroups of an indirect dispatch from a count on the device.
+//! Workgroups of indirect dispatches from a count on the device.
+
+use bytemuck::Zeroable;
 
 use crate::error::Result;
 use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
-use crate::ops::{IndirectGrid, Op};
-use crate::shader::{Shader, Variant, shader_params};
-use crate::shape::TensorSpec;
+use crate::kernels::{Dispatch, Grid, Io, Plain, Recording, Work};
+use crate::ops::IndirectGrid;
+use crate::shader::{Shader, shader_params};
 
 shader_params! {
     struct Params {
-        capacity: u32,
-        items_per_count: u32,
-        workgroup_size: u32,
-        layers: u32,
+        rules: [[u32; 4]; MOST],
+        used: u32,
+        pad0: u32,
+        pad1: u32,
+        pad2: u32,
     }
 }
 
@@ -22,51 +24,25 @@ static SHADER: Shader = Shader {
     params: PARAMS,
 };
 
+/// Grids that one dispatch computes.
+pub(crate) const MOST: usize = 16;
+
 /// The definition, on planar maps.
-#[derive(Debug)]
-pub(super) struct Planar;
+pub(super) static PLANAR: Plain = Plain { id: "indirect_grid/planar", shader: &SHADER, dispatch };
 
-impl Kernel for Planar {
-    fn id(&self) -> &'static str {
-        "indirect_grid/planar"
-    }
-
-    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
-    }
-
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        record(work.op()?, recording, inputs[0], outputs[0]);
-        Ok(())
-    }
+fn dispatch(work: &Work, _: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {
+    let op: &IndirectGrid = work.op()?;
+    Ok(table(&[*op], inputs[0], outputs[0]))
 }
 
-/// Records the grid for `count` in a tensor of its own.
-pub(super) fn scratch(
-    op: &IndirectGrid,
-    recording: &mut Recording,
-    count: TensorId,
-) -> Result<TensorId> {
-    op.infer(&[recording.info(count).spec.clone()])?;
-    let grid = recording.scratch("grid", TensorSpec::u32([3]));
-    record(op, recording, count, grid);
-    Ok(grid)
-}
-
-fn record(op: &IndirectGrid, recording: &mut Recording, count: TensorId, grid: TensorId) {
-    let params = Params {
-        capacity: op.capacity as u32,
-        items_per_count: op.items_per_count,
-        workgroup_size: op.workgroup_size,
-        layers: op.layers,
-    };
-    let bindings = [("count", count), ("grid", grid)];
-    let one = Grid::Workgroups([1, 1, 1]);
-    recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, one));
+/// Writes the grid of each of at most [`MOST`] `rules` for `count` to a row of `grids`.
+pub(crate) fn table(rules: &[IndirectGrid], count: TensorId, grids: TensorId) -> Dispatch {
+    let mut params = Params::zeroed();
+    params.used = rules.len() as u32;
+    for (to, rule) in params.rules.iter_mut().zip(rules) {
+        let IndirectGrid { capacity, items_per_count, workgroup_size, layers } = *rule;
+        *to = [capacity as u32, items_per_count, workgroup_size, layers];
+    }
+    let bindings = [("count", count), ("grids", grids)];
+    Dispatch::new(&SHADER, "main", &params, &bindings, Grid::Workgroups([1, 1, 1]))
 }

@@ -7,6 +7,7 @@
 mod convert;
 mod count;
 mod layout;
+mod plain;
 mod products;
 mod recording;
 mod weights;
@@ -22,7 +23,7 @@ mod decode_pose;
 mod decode_proposals;
 mod gather_rows;
 mod global_avg_pool;
-mod indirect_grid;
+pub(crate) mod indirect_grid;
 mod linear;
 mod max_pool2d;
 mod nms;
@@ -50,10 +51,11 @@ use crate::tensor::Value;
 
 pub(crate) use convert::Convert;
 pub use layout::{Layout, Quads};
+use plain::Plain;
 pub use recording::{
     Command, Dispatch, Grid, MAX_WORKGROUPS, Recording, Role, Stage, Storage, TensorInfo,
 };
-use recording::{all_texels, texels};
+use recording::{all_texels, of_maps, texels};
 
 /// What kernels ask of an adapter.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -112,6 +114,9 @@ impl<'a> Work<'a> {
     }
 }
 
+/// The tensors that a kernel reads, and those that it writes.
+pub type Io<'a> = (&'a [TensorId], &'a [TensorId]);
+
 /// One way to run an operation on a device.
 pub trait Kernel: Debug + Sync {
     /// Its name: the operation's and its own, `conv2d/direct`.
@@ -146,17 +151,11 @@ pub trait Kernel: Debug + Sync {
         false
     }
 
-    /// Appends the dispatches that compute `outputs` from `inputs`, which lie as the kernel said.
+    /// Appends the dispatches that compute its outputs from its inputs, which lie as the kernel said.
     ///
     /// # Errors
     /// [`Error::Capacity`] where a fixed capacity is too small.
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()>;
+    fn record(&self, work: &Work, recording: &mut Recording, io: Io) -> Result<()>;
 
     /// How far its outputs may be from the reference's before they are stored, where it orders its sums
     /// otherwise than [`Op::tolerance`] says, or stores weights in `precision`.
@@ -202,9 +201,9 @@ pub(crate) fn bounds(
 /// The kernels of each operation, the preferred first. The last fits everything that its operation
 /// takes.
 static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
-    ("apply_gates", &[&apply_gates::Quads, &apply_gates::Planar]),
-    ("channel_gate", &[&channel_gate::Planar]),
-    ("channel_pool", &[&channel_pool::Quads, &channel_pool::Planar]),
+    ("apply_gates", &[&apply_gates::Quads, &apply_gates::PLANAR]),
+    ("channel_gate", &[&channel_gate::PLANAR]),
+    ("channel_pool", &[&channel_pool::Quads, &channel_pool::PLANAR]),
     ("contact", &[&contact::Planar]),
     (
         "conv2d",
@@ -216,25 +215,25 @@ static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
             &conv2d::Planar,
         ],
     ),
-    ("crop_resize", &[&crop_resize::Quads, &crop_resize::Planar]),
+    ("crop_resize", &[&crop_resize::Quads, &crop_resize::PLANAR]),
     ("decode_detections", &[&decode_detections::Planar]),
-    ("decode_pose", &[&decode_pose::Planar]),
-    ("decode_proposals", &[&decode_proposals::Planar]),
-    ("gather_rows", &[&gather_rows::Planar]),
+    ("decode_pose", &[&decode_pose::PLANAR]),
+    ("decode_proposals", &[&decode_proposals::PLANAR]),
+    ("gather_rows", &[&gather_rows::PLANAR]),
     ("global_avg_pool", &[&global_avg_pool::Quads, &global_avg_pool::Planar]),
-    ("indirect_grid", &[&indirect_grid::Planar]),
+    ("indirect_grid", &[&indirect_grid::PLANAR]),
     ("linear", &[&linear::Gemm, &linear::Planar]),
-    ("max_pool2d", &[&max_pool2d::Quads, &max_pool2d::Planar]),
+    ("max_pool2d", &[&max_pool2d::Quads, &max_pool2d::PLANAR]),
     ("nms", &[&nms::Planar]),
     ("not_finite", &[&not_finite::Planar]),
-    ("roi_align", &[&roi_align::Quads, &roi_align::Planar]),
-    ("scale_weights", &[&scale_weights::Planar]),
-    ("softmax", &[&softmax::Planar]),
-    ("spatial_gate", &[&spatial_gate::Planar]),
-    ("spatial_pool", &[&spatial_pool::Quads, &spatial_pool::Planar]),
-    ("top_k", &[&top_k::Planar]),
-    ("upsample_bilinear", &[&upsample_bilinear::Quads, &upsample_bilinear::Planar]),
-    ("weighted_sum", &[&weighted_sum::Quads, &weighted_sum::Planar]),
+    ("roi_align", &[&roi_align::Quads, &roi_align::PLANAR]),
+    ("scale_weights", &[&scale_weights::PLANAR]),
+    ("softmax", &[&softmax::PLANAR]),
+    ("spatial_gate", &[&spatial_gate::PLANAR]),
+    ("spatial_pool", &[&spatial_pool::Quads, &spatial_pool::PLANAR]),
+    ("top_k", &[&top_k::PLANAR]),
+    ("upsample_bilinear", &[&upsample_bilinear::Quads, &upsample_bilinear::PLANAR]),
+    ("weighted_sum", &[&weighted_sum::Quads, &weighted_sum::PLANAR]),
 ];
 
 /// The kernels of an operation, the preferred first.

@@ -1,9 +1,8 @@
 //! Non-maximum suppression.
 
 use crate::error::{Error, Result};
-use crate::graph::TensorId;
 use crate::kernels::count::count_tensor;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work, top_k};
+use crate::kernels::{Caps, Dispatch, Grid, Io, Kernel, Recording, Work, top_k};
 use crate::ops::Nms;
 use crate::ops::nms::MAX_BOXES;
 use crate::shader::{Shader, Variant, shader_params};
@@ -39,13 +38,7 @@ impl Kernel for Planar {
         vec![(&SHADER, Variant::default())]
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let op: &Nms = work.op()?;
         let (boxes, scores) = (inputs[0], inputs[1]);
         let (classes, count) = op.optional(inputs);
@@ -65,7 +58,8 @@ impl Kernel for Planar {
             let order = recording.scratch("order", TensorSpec::u32([n]));
             let sorted = recording.scratch("sorted", TensorSpec::u32([1]));
             let sort: Vec<_> = [Some(scores), count.copied()].into_iter().flatten().collect();
-            top_k::record(n, recording, &sort, &[values, order, sorted])?;
+            let sort = top_k::best(n, recording, (&sort, &[values, order, sorted]))?;
+            recording.dispatch(sort);
             (order, sorted)
         };
         let words = n.div_ceil(32);

@@ -1,9 +1,8 @@
 //! Values that are no finite number.
 
 use crate::error::Result;
-use crate::graph::TensorId;
 use crate::kernels::count::count_tensor;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::kernels::{Caps, Dispatch, Grid, Io, Kernel, Recording, Work};
 use crate::ops::NotFinite;
 use crate::ops::not_finite::CHUNK;
 use crate::shader::{Shader, Variant, shader_params};
@@ -48,13 +47,7 @@ impl Kernel for Planar {
         true
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let _op: &NotFinite = work.op()?;
         let rows = recording.dims(inputs[0])[0];
         let row_elements = recording.dims(inputs[0])[1..].iter().product::<usize>();

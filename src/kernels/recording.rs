@@ -3,6 +3,7 @@
 use crate::error::{Error, Result};
 use crate::graph::TensorId;
 use crate::kernels::{Caps, Layout, Quads};
+use crate::ops::IndirectGrid;
 use crate::precision::Precision;
 use crate::shader::{Shader, Variant};
 use crate::shape::{Extent, TensorSpec};
@@ -79,8 +80,10 @@ pub struct TensorInfo {
 pub enum Grid {
     /// Known when recording.
     Workgroups([u32; 3]),
-    /// Three u32 at the start of a tensor that an earlier dispatch wrote.
-    Indirect(TensorId),
+    /// By a count on the device: what `crate::lower` makes [`Grid::Indirect`] of.
+    Counted(TensorId, IndirectGrid),
+    /// Three u32, from this byte on, of a tensor that an earlier dispatch wrote.
+    Indirect(TensorId, u64),
 }
 
 /// Largest number of workgroups that every adapter allows a dimension.
@@ -100,7 +103,7 @@ impl Grid {
     pub fn pictures(self, batch: u32) -> Self {
         match self {
             Self::Workgroups([x, y, z]) => Self::Workgroups([x, y, z * batch]),
-            indirect @ Self::Indirect(_) => indirect,
+            by_count @ (Self::Counted(..) | Self::Indirect(..)) => by_count,
         }
     }
 }
@@ -171,11 +174,11 @@ impl Command {
         match self {
             Self::Copy { from, to } => vec![*from, *to],
             Self::Dispatch(dispatch) => {
-                let indirect = match dispatch.grid {
-                    Grid::Indirect(id) => Some(id),
+                let by_count = match dispatch.grid {
+                    Grid::Counted(id, _) | Grid::Indirect(id, _) => Some(id),
                     Grid::Workgroups(_) => None,
                 };
-                dispatch.bindings.iter().map(|(_, id)| *id).chain(indirect).collect()
+                dispatch.bindings.iter().map(|(_, id)| *id).chain(by_count).collect()
             }
         }
     }
@@ -322,6 +325,14 @@ impl Recording {
         self.commands.push(Command::Dispatch(dispatch));
     }
 
+    /// Appends a dispatch of a shader with `wgsl/shared/texels.wgsl`, in the variant that reads `read` and
+    /// writes `written` as they are stored.
+    pub fn dispatch_maps(&mut self, dispatch: Dispatch, read: TensorId, written: TensorId) {
+        let [read, written] = [read, written].map(|id| self.info(id).precision);
+        let variant = texels(dispatch.variant.clone(), read, written);
+        self.dispatch(dispatch.variant(variant));
+    }
+
     /// Appends a copy of [`Layout::Quads`] to [`Layout::Texture`].
     pub fn copy(&mut self, from: TensorId, to: TensorId) {
         self.commands.push(Command::Copy { from, to });
@@ -338,6 +349,19 @@ impl Recording {
                 command
             }));
         }
+    }
+
+    /// Gives the dispatch that is command `at` another grid.
+    pub(crate) fn set_grid(&mut self, at: usize, grid: Grid) {
+        if let Command::Dispatch(dispatch) = &mut self.commands[at] {
+            dispatch.grid = grid;
+        }
+    }
+
+    /// Puts a dispatch before command `at`, in the same stage.
+    pub(crate) fn insert(&mut self, at: usize, dispatch: Dispatch) {
+        self.commands.insert(at, Command::Dispatch(dispatch));
+        self.stages.iter_mut().filter(|stage| stage.first > at).for_each(|stage| stage.first += 1);
     }
 
     /// Starts a stage; a call with the current stage's name continues it.
@@ -358,11 +382,6 @@ impl Recording {
     /// What is known of a tensor.
     pub fn info(&self, id: TensorId) -> &TensorInfo {
         &self.tensors[id.0]
-    }
-
-    /// The variant of a shader with `wgsl/shared/texels.wgsl` that reads `read` and writes `written`.
-    pub fn texels(&self, variant: Variant, read: TensorId, written: TensorId) -> Variant {
-        texels(variant, self.info(read).precision, self.info(written).precision)
     }
 
     /// Shape of a tensor as a slice.
@@ -413,6 +432,11 @@ pub(super) fn all_texels(variant: &Variant) -> [Variant; 4] {
     use Precision::{F16, F32};
     [(F32, F32), (F32, F16), (F16, F32), (F16, F16)]
         .map(|(read, written)| texels(variant.clone(), read, written))
+}
+
+/// A shader with `wgsl/shared/texels.wgsl` in all of those.
+pub(super) fn of_maps(shader: &'static Shader) -> Vec<(&'static Shader, Variant)> {
+    all_texels(&Variant::default()).map(|variant| (shader, variant)).into()
 }
 
 #[cfg(test)]

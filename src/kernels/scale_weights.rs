@@ -1,10 +1,9 @@
 //! RW-Net's weight of each scale.
 
 use crate::error::{Error, Result};
-use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::kernels::{Dispatch, Grid, Io, Plain, Recording, Work};
 use crate::ops::{Op, ScaleWeights};
-use crate::shader::{Shader, Variant, shader_params};
+use crate::shader::{Shader, shader_params};
 
 shader_params! {
     struct Params {
@@ -28,44 +27,26 @@ const CAPACITY: usize = 1024;
 const MAX_SCALES: usize = 256;
 
 /// The definition, on planar maps.
-#[derive(Debug)]
-pub(super) struct Planar;
+pub(super) static PLANAR: Plain = Plain { id: "scale_weights/planar", shader: &SHADER, dispatch };
 
-impl Kernel for Planar {
-    fn id(&self) -> &'static str {
-        "scale_weights/planar"
-    }
-
-    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
-    }
-
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let op: &ScaleWeights = work.op()?;
-        let [hidden, length] = [0, 1].map(|i| recording.dims(inputs[1])[i]);
-        let scales = recording.dims(outputs[0])[0];
-        let limits = [("hidden units", hidden, CAPACITY), ("scales", scales, MAX_SCALES)];
-        for (what, needed, available) in limits {
-            if needed > available {
-                return Err(Error::Capacity {
-                    what: format!("{}: {what}", op.name()),
-                    needed: needed as u64,
-                    available: available as u64,
-                });
-            }
+fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {
+    let op: &ScaleWeights = work.op()?;
+    let [hidden, length] = [0, 1].map(|i| recording.dims(inputs[1])[i]);
+    let scales = recording.dims(outputs[0])[0];
+    let limits = [("hidden units", hidden, CAPACITY), ("scales", scales, MAX_SCALES)];
+    for (what, needed, available) in limits {
+        if needed > available {
+            return Err(Error::Capacity {
+                what: format!("{}: {what}", op.name()),
+                needed: needed as u64,
+                available: available as u64,
+            });
         }
-        let params =
-            Params { inputs: length as u32, hidden: hidden as u32, scales: scales as u32, zero: 0 };
-        let mut bindings: Vec<_> = op.inputs().into_iter().zip(inputs.iter().copied()).collect();
-        bindings.push(("output", outputs[0]));
-        let grid = Grid::Workgroups([1, 1, 1]);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
     }
+    let params =
+        Params { inputs: length as u32, hidden: hidden as u32, scales: scales as u32, zero: 0 };
+    let mut bindings: Vec<_> = op.inputs().into_iter().zip(inputs.iter().copied()).collect();
+    bindings.push(("output", outputs[0]));
+    let grid = Grid::Workgroups([1, 1, 1]);
+    Ok(Dispatch::new(&SHADER, "main", &params, &bindings, grid))
 }

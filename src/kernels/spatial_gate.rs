@@ -1,10 +1,9 @@
 //! CBAM's spatial gate.
 
 use crate::error::Result;
-use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::kernels::{Dispatch, Grid, Io, Plain, Recording, Work};
 use crate::ops::SpatialGate;
-use crate::shader::{Shader, Variant, shader_params};
+use crate::shader::{Shader, shader_params};
 
 shader_params! {
     struct Params {
@@ -24,36 +23,14 @@ static SHADER: Shader = Shader {
 const PIXELS: usize = 8;
 
 /// The definition, on planar maps.
-#[derive(Debug)]
-pub(super) struct Planar;
+pub(super) static PLANAR: Plain = Plain { id: "spatial_gate/planar", shader: &SHADER, dispatch };
 
-impl Kernel for Planar {
-    fn id(&self) -> &'static str {
-        "spatial_gate/planar"
-    }
-
-    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
-    }
-
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let _op: &SpatialGate = work.op()?;
-        let [height, width] = [1, 2].map(|i| recording.dims(inputs[0])[i]);
-        let params = Params { height: height as u32, width: width as u32, zero: 0 };
-        let bindings = [
-            ("pooled", inputs[0]),
-            ("weight", inputs[1]),
-            ("bias", inputs[2]),
-            ("output", outputs[0]),
-        ];
-        let grid = Grid::linear(height * width.div_ceil(PIXELS), 64);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
-    }
+fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {
+    let _op: &SpatialGate = work.op()?;
+    let [height, width] = [1, 2].map(|i| recording.dims(inputs[0])[i]);
+    let params = Params { height: height as u32, width: width as u32, zero: 0 };
+    let bindings =
+        [("pooled", inputs[0]), ("weight", inputs[1]), ("bias", inputs[2]), ("output", outputs[0])];
+    let grid = Grid::linear(height * width.div_ceil(PIXELS), 64);
+    Ok(Dispatch::new(&SHADER, "main", &params, &bindings, grid))
 }

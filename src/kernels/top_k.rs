@@ -1,12 +1,11 @@
 //! The k highest scores and where they are.
 
 use crate::error::{Error, Result};
-use crate::graph::TensorId;
 use crate::kernels::count::count_tensor;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::kernels::{Dispatch, Grid, Io, Plain, Recording, Work};
 use crate::ops::TopK;
 use crate::ops::top_k::layout;
-use crate::shader::{Shader, Variant, shader_params};
+use crate::shader::{Shader, shader_params};
 
 shader_params! {
     struct Params {
@@ -28,37 +27,19 @@ const MAX_K: usize = 1024;
 const MAX_SCORES: usize = 1 << 24;
 
 /// The definition, on planar maps.
-#[derive(Debug)]
-pub(super) struct Planar;
+pub(super) static PLANAR: Plain = Plain { id: "top_k/planar", shader: &SHADER, dispatch };
 
-impl Kernel for Planar {
-    fn id(&self) -> &'static str {
-        "top_k/planar"
-    }
-
-    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
-    }
-
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let op: &TopK = work.op()?;
-        record(op.k, recording, inputs, outputs)
-    }
+fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {
+    let op: &TopK = work.op()?;
+    best(op.k, recording, (inputs, outputs))
 }
 
-/// Appends what finds the `most` best.
-pub(super) fn record(
+/// What finds the `most` best.
+pub(super) fn best(
     most: usize,
     recording: &mut Recording,
-    inputs: &[TensorId],
-    outputs: &[TensorId],
-) -> Result<()> {
+    (inputs, outputs): Io,
+) -> Result<Dispatch> {
     let n = recording.info(inputs[0]).spec.shape.elements();
     let (channels, area) = layout(recording.dims(inputs[0])).unwrap_or((1, n));
     let k = most.min(n);
@@ -88,6 +69,5 @@ pub(super) fn record(
         ("output_count", outputs[2]),
     ];
     let grid = Grid::Workgroups([1, 1, 1]);
-    recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-    Ok(())
+    Ok(Dispatch::new(&SHADER, "main", &params, &bindings, grid))
 }

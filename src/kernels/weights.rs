@@ -14,7 +14,14 @@ pub(super) struct Stored {
     /// The texels.
     pub texels: TensorId,
     /// In f16, what each output's sum is to be multiplied with.
-    pub scale: Option<TensorId>,
+    scale: Option<TensorId>,
+}
+
+impl Stored {
+    /// The bindings of a dispatch that adds the products up: `others`, and `scale` where sums have one.
+    pub fn scaled(&self, others: &[(&'static str, TensorId)]) -> Vec<(&'static str, TensorId)> {
+        others.iter().copied().chain(self.scale.map(|id| ("scale", id))).collect()
+    }
 }
 
 /// How weights `[O, …]` become texels.

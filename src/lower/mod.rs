@@ -5,9 +5,11 @@
 //! | `live` | leaves out operations on which nothing depends that is asked for |
 //! | [`Choice`] | a kernel for each operation, by adapter, shape and measurement |
 //! | `layouts` | conversions between kernels that write and read differently |
+//! | `grids` | workgroups of dispatches over as many rows as a count on the device says |
 //! | [`lifetimes`] | which tensors share what holds them |
 
 pub mod choice;
+mod grids;
 pub mod lifetimes;
 
 use std::collections::{HashMap, HashSet};
@@ -112,6 +114,7 @@ pub fn lower(graph: &Graph, request: &Request) -> Result<Lowered> {
         }
         places.insert(id, place);
     }
+    grids::tabulate(&mut layouts.recording, &mut owners);
     Ok(Lowered { recording: layouts.recording, places, precision, kernels, owners })
 }
 
@@ -231,7 +234,7 @@ impl Layouts<'_> {
             outputs.push(place);
         }
         let first = self.recording.commands().len();
-        kernel.record(work, &mut self.recording, &inputs, &outputs)?;
+        kernel.record(work, &mut self.recording, (&inputs, &outputs))?;
         if !kernel.batched() {
             self.recording.for_each_picture(first);
         }

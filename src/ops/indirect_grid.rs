@@ -31,7 +31,7 @@ const MAX_WORKGROUPS: u32 = 65_535;
 ///
 /// Input: `count` u32 `[1]`. Output: `grid` u32 `[3]`, as an indirect dispatch takes it: x and y
 /// folded past 65 535, `[0, 0, layers]` for a count of zero.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct IndirectGrid {
     /// Largest count; what lies above it is taken for it.
     pub capacity: usize,

@@ -10,7 +10,7 @@ use smr_gpu::shader::{Replacement, Shader, Variant, reflect, reflect_replaced};
 /// A shader file with one fault.
 #[derive(Clone, Debug)]
 pub struct Mutant {
-    /// The file's name without its ending: `conv2d`, `shared/reduce`.
+    /// The file's name without its ending: `conv2d/planar`, `shared/reduce`.
     pub file: String,
     /// Where the fault is.
     pub line: usize,

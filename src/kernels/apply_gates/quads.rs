@@ -1,8 +1,7 @@
 //! On maps of four channels a texel.
 
 use crate::error::Result;
-use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, all_texels, layout};
+use crate::kernels::{Caps, Dispatch, Grid, Io, Kernel, Layout, Recording, Work, layout, of_maps};
 use crate::ops::ApplyGates;
 use crate::shader::{Shader, Variant, shader_params};
 
@@ -32,7 +31,7 @@ impl Kernel for Quads {
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        all_texels(&Variant::default()).map(|variant| (&SHADER, variant)).into()
+        of_maps(&SHADER)
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -53,13 +52,7 @@ impl Kernel for Quads {
         true
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let _op: &ApplyGates = work.op()?;
         let map = recording.quads(inputs[0])?;
         let params = Params {
@@ -76,9 +69,8 @@ impl Kernel for Quads {
             ("output", outputs[0]),
         ];
         let grid = Grid::Workgroups([map.height.div_ceil(8), map.quads, recording.batch()]);
-        let variant = recording.texels(Variant::default(), inputs[0], outputs[0]);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
-        recording.dispatch(dispatch.variant(variant));
+        recording.dispatch_maps(dispatch, inputs[0], outputs[0]);
         Ok(())
     }
 }

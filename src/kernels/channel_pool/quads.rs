@@ -1,8 +1,7 @@
 //! On maps of four channels a texel.
 
 use crate::error::Result;
-use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, all_texels, layout};
+use crate::kernels::{Caps, Dispatch, Grid, Io, Kernel, Layout, Recording, Work, layout, of_maps};
 use crate::ops::bounds::SumOrder;
 use crate::ops::{ChannelPool, Op, Tolerance};
 use crate::precision::Precision;
@@ -49,7 +48,7 @@ impl Kernel for Quads {
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        all_texels(&Variant::default()).map(|variant| (&SHADER, variant)).into()
+        of_maps(&SHADER)
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -64,13 +63,7 @@ impl Kernel for Quads {
         true
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let _op: &ChannelPool = work.op()?;
         let (input, output) = (inputs[0], outputs[0]);
         let map = recording.quads(input)?;
@@ -96,16 +89,15 @@ impl Kernel for Quads {
         };
         let bindings = [("input", input), ("partials", partials)];
         let grid = Grid::Workgroups([chunks, map.quads.div_ceil(8), recording.batch()]);
-        let variant = recording.texels(Variant::default(), input, output);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
-        recording.dispatch(dispatch.variant(variant.clone()));
+        recording.dispatch_maps(dispatch, input, output);
         if chunks > 1 {
             params.divisor = (map.width * map.height) as f32;
             let bindings = [("partials_in", partials), ("output", output)];
             let across = (2 * map.channels).div_ceil(64);
             let grid = Grid::Workgroups([across, 1, recording.batch()]);
             let dispatch = Dispatch::new(&SHADER, "finish", &params, &bindings, grid);
-            recording.dispatch(dispatch.variant(variant));
+            recording.dispatch_maps(dispatch, input, output);
         }
         Ok(())
     }

@@ -8,7 +8,7 @@ use crate::graph::TensorId;
 use crate::kernels::products::Lanes;
 use crate::kernels::weights::{Packing, Stored};
 use crate::kernels::{
-    Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Quads, Recording, Work, all_texels,
+    Caps, Dispatch, Grid, Io, Kernel, Layout, MAX_WORKGROUPS, Quads, Recording, Work, all_texels,
     texels,
 };
 use crate::ops::bounds::{Joined, SumOrder};
@@ -95,7 +95,7 @@ impl Form {
         }
     }
 
-    /// `weights` says how those are stored; for the maps see [`Recording::texels`].
+    /// `weights` says how those are stored; for the maps see [`Recording::dispatch_maps`].
     fn variant(&self, tile: &Tile, weights: Precision) -> Variant {
         let named = [
             ("WORKGROUP", tile.workgroup as usize),
@@ -298,13 +298,11 @@ impl Plan {
             ("residual", bound.residual),
             ("output", bound.output),
         ];
-        let scale = bound.weight.scale.map(|id| ("scale", id));
-        let bindings: Vec<_> = bindings.into_iter().chain(scale).collect();
+        let bindings = bound.weight.scaled(&bindings);
         let grid = Grid::Workgroups([across, tiles, recording.batch() * self.splits]);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
         let variant = form.variant(&tile, recording.info(bound.weight.texels).precision);
-        let variant = recording.texels(variant, bound.input, bound.output);
-        recording.dispatch(dispatch.variant(variant));
+        recording.dispatch_maps(dispatch.variant(variant), bound.input, bound.output);
         Ok(())
     }
 }
@@ -404,13 +402,7 @@ impl Kernel for Direct {
         true
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let op: &Conv2d = work.op()?;
         let none = || Error::tensor(op.name(), "weight", "one that fits a texture", "a larger one");
         let plan = self.plan(work).ok_or_else(none)?;

@@ -1,8 +1,7 @@
 //! On planar maps.
 
 use crate::error::{Error, Result};
-use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, MAX_WORKGROUPS, Recording, Work};
+use crate::kernels::{Caps, Dispatch, Grid, Io, Kernel, MAX_WORKGROUPS, Recording, Work};
 use crate::ops::conv2d::CHANNELS;
 use crate::ops::{Conv2d, Op};
 use crate::shader::{Shader, Variant, shader_params};
@@ -27,8 +26,11 @@ shader_params! {
     }
 }
 
-static SHADER: Shader =
-    Shader { stem: "conv2d", source: include_str!("../../../wgsl/conv2d.wgsl"), params: PARAMS };
+static SHADER: Shader = Shader {
+    stem: "conv2d/planar",
+    source: include_str!("../../../wgsl/conv2d/planar.wgsl"),
+    params: PARAMS,
+};
 
 /// Output pixels that one workgroup computes.
 const PIXELS: usize = 64;
@@ -46,13 +48,7 @@ impl Kernel for Planar {
         vec![(&SHADER, Variant::default())]
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let op: &Conv2d = work.op()?;
         let (&input, &weight, bias, residual) = op.split(inputs);
         let [in_c, in_h, in_w] = [0, 1, 2].map(|i| recording.dims(input)[i] as u32);

@@ -5,10 +5,9 @@ use std::borrow::Cow;
 use super::direct::Products;
 use super::{Sizes, padded_bias, weights_known};
 use crate::error::{Error, Result};
-use crate::graph::TensorId;
 use crate::kernels::products::Lanes;
 use crate::kernels::{
-    Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Quads, Recording, Work, all_texels,
+    Caps, Dispatch, Grid, Io, Kernel, Layout, MAX_WORKGROUPS, Quads, Recording, Work, all_texels,
     texels,
 };
 use crate::ops::bounds::{magnitude, moved_sum};
@@ -155,13 +154,7 @@ impl Kernel for Winograd {
         true
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let op: &Conv2d = work.op()?;
         let none = || Error::tensor(op.name(), "weight", "one that fits a texture", "a larger one");
         let plan = Plan::of(work).ok_or_else(none)?;
@@ -188,8 +181,7 @@ impl Kernel for Winograd {
         let bindings = [("input", input), ("points", written)];
         let grid = Grid::Workgroups([across, from.quads, batch]);
         let dispatch = Dispatch::new(&input::SHADER, "main", &params, &bindings, grid);
-        let variant = recording.texels(Variant::default(), input, written);
-        recording.dispatch(dispatch.variant(variant));
+        recording.dispatch_maps(dispatch, input, written);
         recording.copy(written, read);
 
         let weight = (&weight, work.precision);

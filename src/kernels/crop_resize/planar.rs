@@ -1,10 +1,9 @@
 //! The definition, on planar maps.
 
 use crate::error::Result;
-use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::kernels::{Dispatch, Grid, Io, Plain, Recording, Work};
 use crate::ops::CropResize;
-use crate::shader::{Shader, Variant, shader_params};
+use crate::shader::{Shader, shader_params};
 
 shader_params! {
     struct Params {
@@ -30,46 +29,29 @@ static SHADER: Shader = Shader {
 };
 
 /// The definition, on planar maps.
-#[derive(Debug)]
-pub(in crate::kernels) struct Planar;
+pub(in crate::kernels) static PLANAR: Plain =
+    Plain { id: "crop_resize/planar", shader: &SHADER, dispatch };
 
-impl Kernel for Planar {
-    fn id(&self) -> &'static str {
-        "crop_resize/planar"
-    }
-
-    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
-    }
-
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let op: &CropResize = work.op()?;
-        let [shift_r, shift_g, shift_b] = op.shift().map(|(shift, _)| f32::from(shift));
-        let [rest_r, rest_g, rest_b] = op.shift().map(|(_, rest)| rest as f32);
-        let [std_r, std_g, std_b] = op.std;
-        let params = Params {
-            width: op.width as u32,
-            height: op.height as u32,
-            capacity: recording.dims(inputs[0])[0] as u32,
-            shift_r,
-            shift_g,
-            shift_b,
-            rest_r,
-            rest_g,
-            rest_b,
-            std_r,
-            std_g,
-            std_b,
-        };
-        let bindings = [("picture", inputs[0]), ("crop", inputs[1]), ("output", outputs[0])];
-        let grid = Grid::linear(op.height * op.width, 64);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
-    }
+fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {
+    let op: &CropResize = work.op()?;
+    let [shift_r, shift_g, shift_b] = op.shift().map(|(shift, _)| f32::from(shift));
+    let [rest_r, rest_g, rest_b] = op.shift().map(|(_, rest)| rest as f32);
+    let [std_r, std_g, std_b] = op.std;
+    let params = Params {
+        width: op.width as u32,
+        height: op.height as u32,
+        capacity: recording.dims(inputs[0])[0] as u32,
+        shift_r,
+        shift_g,
+        shift_b,
+        rest_r,
+        rest_g,
+        rest_b,
+        std_r,
+        std_g,
+        std_b,
+    };
+    let bindings = [("picture", inputs[0]), ("crop", inputs[1]), ("output", outputs[0])];
+    let grid = Grid::linear(op.height * op.width, 64);
+    Ok(Dispatch::new(&SHADER, "main", &params, &bindings, grid))
 }

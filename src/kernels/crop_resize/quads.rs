@@ -1,8 +1,7 @@
 //! On maps of four channels a texel.
 
 use crate::error::Result;
-use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, all_texels, layout};
+use crate::kernels::{Caps, Dispatch, Grid, Io, Kernel, Layout, Recording, Work, layout, of_maps};
 use crate::ops::CropResize;
 use crate::shader::{Shader, Variant, shader_params};
 
@@ -42,7 +41,7 @@ impl Kernel for Quads {
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        all_texels(&Variant::default()).map(|variant| (&SHADER, variant)).into()
+        of_maps(&SHADER)
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -53,13 +52,7 @@ impl Kernel for Quads {
         Layout::Quads
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let op: &CropResize = work.op()?;
         let map = recording.quads(outputs[0])?;
         let [shift_r, shift_g, shift_b] = op.shift().map(|(shift, _)| f32::from(shift));
@@ -82,9 +75,8 @@ impl Kernel for Quads {
         };
         let bindings = [("picture", inputs[0]), ("crop", inputs[1]), ("output", outputs[0])];
         let grid = Grid::Workgroups([map.width.div_ceil(8), map.height.div_ceil(32), 1]);
-        let variant = recording.texels(Variant::default(), inputs[0], outputs[0]);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
-        recording.dispatch(dispatch.variant(variant));
+        recording.dispatch_maps(dispatch, inputs[0], outputs[0]);
         Ok(())
     }
 }

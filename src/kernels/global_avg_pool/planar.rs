@@ -1,8 +1,7 @@
 //! The definition, on planar maps.
 
 use crate::error::Result;
-use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::kernels::{Caps, Dispatch, Grid, Io, Kernel, Recording, Work};
 use crate::ops::GlobalAvgPool;
 use crate::shader::{Shader, Variant, shader_params};
 
@@ -34,13 +33,7 @@ impl Kernel for Planar {
         vec![(&SHADER, Variant::default())]
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let _op: &GlobalAvgPool = work.op()?;
         let mut first = 0;
         for input in inputs {

@@ -1,8 +1,7 @@
 //! On maps of four channels a texel.
 
 use crate::error::Result;
-use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, all_texels, layout};
+use crate::kernels::{Caps, Dispatch, Grid, Io, Kernel, Layout, Recording, Work, layout, of_maps};
 use crate::ops::bounds::SumOrder;
 use crate::ops::{GlobalAvgPool, Op, Tolerance};
 use crate::precision::Precision;
@@ -35,7 +34,7 @@ impl Kernel for Quads {
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        all_texels(&Variant::default()).map(|variant| (&SHADER, variant)).into()
+        of_maps(&SHADER)
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -50,13 +49,7 @@ impl Kernel for Quads {
         true
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let _op: &GlobalAvgPool = work.op()?;
         let mut first = 0;
         for input in inputs {
@@ -65,9 +58,8 @@ impl Kernel for Quads {
             let params = Params { map, first, output_stride, pad0: 0, pad1: 0 };
             let bindings = [("input", *input), ("output", outputs[0])];
             let grid = Grid::Workgroups([1, map.quads.div_ceil(8), recording.batch()]);
-            let variant = recording.texels(Variant::default(), *input, outputs[0]);
             let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
-            recording.dispatch(dispatch.variant(variant));
+            recording.dispatch_maps(dispatch, *input, outputs[0]);
             first += map.channels;
         }
         Ok(())

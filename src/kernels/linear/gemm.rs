@@ -2,16 +2,13 @@
 
 use crate::cpu;
 use crate::error::{Error, Result};
-use crate::graph::TensorId;
 use crate::kernels::count::{count_tensor, row_grid};
 use crate::kernels::products::Lanes;
 use crate::kernels::weights::Packing;
-use crate::kernels::{
-    Caps, Dispatch, Grid, Kernel, MAX_WORKGROUPS, Recording, Work, indirect_grid,
-};
+use crate::kernels::{Caps, Dispatch, Io, Kernel, MAX_WORKGROUPS, Recording, Work};
 use crate::ops::bounds::{magnitude, moved_sum};
 use crate::ops::linear::slices;
-use crate::ops::{IndirectGrid, Linear, Op, Tolerance};
+use crate::ops::{Linear, Op, Tolerance};
 use crate::precision::{Precision, weight_errors};
 use crate::shader::{Shader, Variant, shader_params};
 use crate::shape::TensorSpec;
@@ -39,7 +36,7 @@ static SHADER: Shader = Shader {
 };
 
 /// Rows that one workgroup computes.
-const ROWS: usize = 16;
+const ROWS: u32 = 16;
 /// Outputs that one invocation computes.
 const OUTPUTS: usize = 4;
 /// Invocations of a workgroup of `finish`.
@@ -127,13 +124,7 @@ impl Kernel for Gemm {
         Plan::of(work).is_some()
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let op: &Linear = work.op()?;
         let none = || Error::tensor(op.name(), "weight", "one that fits a texture", "a larger one");
         let plan = Plan::of(work).ok_or_else(none)?;
@@ -169,29 +160,17 @@ impl Kernel for Gemm {
         };
         let variant = variant(plan.lanes, plan.inner, work.precision);
 
-        let layers = (tiles * slices) as u32;
-        let grid = match given {
-            None => match Grid::linear(rows, ROWS as u32) {
-                Grid::Workgroups([x, y, _]) => Grid::Workgroups([x, y, layers]),
-                other => other,
-            },
-            Some(count) => {
-                let (capacity, workgroup_size) = (rows, ROWS as u32);
-                let grid = IndirectGrid { capacity, items_per_count: 1, workgroup_size, layers };
-                Grid::Indirect(indirect_grid::scratch(&grid, recording, count)?)
-            }
-        };
+        let grid = row_grid(recording, given, rows, [1, tiles * slices], ROWS)?;
         let texels = weight.texels;
         let bindings =
             [("count", count), ("input", inputs[0]), ("weight", texels), ("partials", partials)];
         let partial = Dispatch::new(&SHADER, "partial", &params, &bindings, grid);
         recording.dispatch(partial.variant(variant.clone()));
 
-        let grid = row_grid(recording, given, rows, plan.outputs, FINISH)?;
+        let grid = row_grid(recording, given, rows, [plan.outputs, 1], FINISH)?;
         let bindings =
             [("count", count), ("partials", partials), ("bias", bias), ("output", outputs[0])];
-        let scale = weight.scale.map(|id| ("scale", id));
-        let bindings: Vec<_> = bindings.into_iter().chain(scale).collect();
+        let bindings = weight.scaled(&bindings);
         let finish = Dispatch::new(&SHADER, "finish", &params, &bindings, grid);
         recording.dispatch(finish.variant(variant));
         Ok(())

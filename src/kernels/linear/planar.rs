@@ -1,12 +1,10 @@
 //! Without subgroups.
 
 use crate::error::Result;
-use crate::graph::TensorId;
-use crate::kernels::count::count_tensor;
-use crate::kernels::count::row_grid;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work, indirect_grid};
+use crate::kernels::count::{count_tensor, row_grid};
+use crate::kernels::{Caps, Dispatch, Grid, Io, Kernel, Recording, Work};
 use crate::ops::linear::slices;
-use crate::ops::{IndirectGrid, Linear, Op};
+use crate::ops::{Linear, Op};
 use crate::shader::{Shader, Variant, shader_params};
 use crate::shape::TensorSpec;
 use crate::tensor::Tensor;
@@ -23,11 +21,14 @@ shader_params! {
     }
 }
 
-static SHADER: Shader =
-    Shader { stem: "linear", source: include_str!("../../../wgsl/linear.wgsl"), params: PARAMS };
+static SHADER: Shader = Shader {
+    stem: "linear/planar",
+    source: include_str!("../../../wgsl/linear/planar.wgsl"),
+    params: PARAMS,
+};
 
 /// Rows that one workgroup computes.
-const ROWS: usize = 8;
+const ROWS: u32 = 8;
 
 /// Invocations of a workgroup, each with four outputs.
 const LANES: usize = 64;
@@ -45,13 +46,7 @@ impl Kernel for Planar {
         vec![(&SHADER, Variant::default())]
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let op: &Linear = work.op()?;
         let name = recording.info(inputs[1]).name.clone();
         let weight = recording.weights(op.name(), inputs[1])?;
@@ -88,26 +83,11 @@ impl Kernel for Planar {
             recording.dispatch(Dispatch::new(&SHADER, "pad", &params, &bindings, grid));
             input = padded;
         }
-        let layers = (columns * slices) as u32;
-        let tiles = match given {
-            None => match Grid::linear(rows, ROWS as u32) {
-                Grid::Workgroups([x, y, _]) => Grid::Workgroups([x, y, layers]),
-                other => other,
-            },
-            Some(count) => {
-                let grid = IndirectGrid {
-                    capacity: rows,
-                    items_per_count: 1,
-                    workgroup_size: ROWS as u32,
-                    layers,
-                };
-                Grid::Indirect(indirect_grid::scratch(&grid, recording, count)?)
-            }
-        };
+        let tiles = row_grid(recording, given, rows, [1, columns * slices], ROWS)?;
         let bindings =
             [("count", count), ("input", input), ("weight", packed), ("partials", partials)];
         recording.dispatch(Dispatch::new(&SHADER, "partial", &params, &bindings, tiles));
-        let grid = row_grid(recording, given, rows, quads, LANES as u32)?;
+        let grid = row_grid(recording, given, rows, [quads, 1], LANES as u32)?;
         let bindings =
             [("count", count), ("partials", partials), ("bias", bias), ("output", outputs[0])];
         recording.dispatch(Dispatch::new(&SHADER, "finish", &params, &bindings, grid));

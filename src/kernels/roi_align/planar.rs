@@ -1,12 +1,10 @@
 //! The definition, on planar maps.
 
 use crate::error::Result;
-use crate::graph::TensorId;
-use crate::kernels::count::count_tensor;
-use crate::kernels::count::row_grid;
-use crate::kernels::{Caps, Dispatch, Kernel, Recording, Work};
+use crate::kernels::count::{count_tensor, row_grid};
+use crate::kernels::{Dispatch, Io, Plain, Recording, Work};
 use crate::ops::RoiAlign;
-use crate::shader::{Shader, Variant, shader_params};
+use crate::shader::{Shader, shader_params};
 
 shader_params! {
     struct Params {
@@ -27,48 +25,27 @@ static SHADER: Shader = Shader {
 };
 
 /// The definition, on planar maps.
-#[derive(Debug)]
-pub(in crate::kernels) struct Planar;
+pub(in crate::kernels) static PLANAR: Plain =
+    Plain { id: "roi_align/planar", shader: &SHADER, dispatch };
 
-impl Kernel for Planar {
-    fn id(&self) -> &'static str {
-        "roi_align/planar"
-    }
-
-    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
-    }
-
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let op: &RoiAlign = work.op()?;
-        let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i]);
-        let rois = recording.dims(inputs[1])[0];
-        let given = inputs.get(2).copied();
-        let count = count_tensor(recording, given, rois);
-        let items = op.output_size * op.output_size * channels.div_ceil(4);
-        let grid = row_grid(recording, given, rois, items, 64)?;
-        let params = Params {
-            channels: channels as u32,
-            height: height as u32,
-            width: width as u32,
-            rois: rois as u32,
-            size: op.output_size as u32,
-            ratio: op.sampling_ratio as u32,
-            scale: op.spatial_scale,
-        };
-        let bindings = [
-            ("features", inputs[0]),
-            ("boxes", inputs[1]),
-            ("count", count),
-            ("output", outputs[0]),
-        ];
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
-    }
+fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {
+    let op: &RoiAlign = work.op()?;
+    let [channels, height, width] = [0, 1, 2].map(|i| recording.dims(inputs[0])[i]);
+    let rois = recording.dims(inputs[1])[0];
+    let given = inputs.get(2).copied();
+    let count = count_tensor(recording, given, rois);
+    let items = op.output_size * op.output_size * channels.div_ceil(4);
+    let grid = row_grid(recording, given, rois, [items, 1], 64)?;
+    let params = Params {
+        channels: channels as u32,
+        height: height as u32,
+        width: width as u32,
+        rois: rois as u32,
+        size: op.output_size as u32,
+        ratio: op.sampling_ratio as u32,
+        scale: op.spatial_scale,
+    };
+    let bindings =
+        [("features", inputs[0]), ("boxes", inputs[1]), ("count", count), ("output", outputs[0])];
+    Ok(Dispatch::new(&SHADER, "main", &params, &bindings, grid))
 }

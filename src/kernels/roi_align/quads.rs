@@ -1,10 +1,9 @@
 //! On maps of four channels a texel.
 
 use crate::error::Result;
-use crate::graph::TensorId;
 use crate::kernels::count::count_tensor;
 use crate::kernels::{
-    Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Recording, Work, all_texels, layout,
+    Caps, Dispatch, Grid, Io, Kernel, Layout, MAX_WORKGROUPS, Recording, Work, layout, of_maps,
 };
 use crate::ops::RoiAlign;
 use crate::shader::{Shader, Variant, shader_params};
@@ -44,7 +43,7 @@ impl Kernel for Quads {
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        all_texels(&Variant::default()).map(|variant| (&SHADER, variant)).into()
+        of_maps(&SHADER)
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -61,13 +60,7 @@ impl Kernel for Quads {
         true
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let op: &RoiAlign = work.op()?;
         let map = recording.quads(inputs[0])?;
         let rois = recording.dims(inputs[1])[0];
@@ -91,9 +84,8 @@ impl Kernel for Quads {
         ];
         let [across, quads] = [bin_groups(op, rois) as u32, map.quads.div_ceil(4)];
         let grid = Grid::Workgroups([across, quads, recording.batch()]);
-        let variant = recording.texels(Variant::default(), inputs[0], outputs[0]);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
-        recording.dispatch(dispatch.variant(variant));
+        recording.dispatch_maps(dispatch, inputs[0], outputs[0]);
         Ok(())
     }
 }

@@ -1,8 +1,7 @@
 //! On maps of four channels a texel.
 
 use crate::error::Result;
-use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Layout, Recording, Work, all_texels, layout};
+use crate::kernels::{Caps, Dispatch, Grid, Io, Kernel, Layout, Recording, Work, layout, of_maps};
 use crate::ops::bounds::SumOrder;
 use crate::ops::{Op, SpatialPool, Tolerance};
 use crate::precision::Precision;
@@ -40,7 +39,7 @@ impl Kernel for Quads {
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        all_texels(&Variant::default()).map(|variant| (&SHADER, variant)).into()
+        of_maps(&SHADER)
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -57,13 +56,7 @@ impl Kernel for Quads {
         true
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let _op: &SpatialPool = work.op()?;
         let map = recording.quads(inputs[0])?;
         let slices = slices(map.quads);
@@ -77,9 +70,8 @@ impl Kernel for Quads {
         let bindings = [("input", inputs[0]), ("channel_gate", inputs[1]), ("output", outputs[0])];
         let [across, down] = [map.width.div_ceil(16), map.height.div_ceil(8 / slices)];
         let grid = Grid::Workgroups([across, down, recording.batch()]);
-        let variant = recording.texels(Variant::default(), inputs[0], outputs[0]);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
-        recording.dispatch(dispatch.variant(variant));
+        recording.dispatch_maps(dispatch, inputs[0], outputs[0]);
         Ok(())
     }
 

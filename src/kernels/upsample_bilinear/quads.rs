@@ -1,9 +1,8 @@
 //! On maps of four channels a texel.
 
 use crate::error::Result;
-use crate::graph::TensorId;
 use crate::kernels::{
-    Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Recording, Work, all_texels, layout,
+    Caps, Dispatch, Grid, Io, Kernel, Layout, MAX_WORKGROUPS, Recording, Work, layout, of_maps,
 };
 use crate::ops::UpsampleBilinear;
 use crate::shader::{Shader, Variant, shader_params};
@@ -38,7 +37,7 @@ impl Kernel for Quads {
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        all_texels(&Variant::default()).map(|variant| (&SHADER, variant)).into()
+        of_maps(&SHADER)
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -60,13 +59,7 @@ impl Kernel for Quads {
         true
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let _op: &UpsampleBilinear = work.op()?;
         let (input, output) = (recording.quads(inputs[0])?, recording.quads(outputs[0])?);
         let blocks = input.quads.div_ceil(BLOCK);
@@ -74,9 +67,8 @@ impl Kernel for Quads {
         let bindings = [("input", inputs[0]), ("output", outputs[0])];
         let [across, down] = [output.width, output.height].map(|n| n.div_ceil(8));
         let grid = Grid::Workgroups([across, down, blocks * recording.batch()]);
-        let variant = recording.texels(Variant::default(), inputs[0], outputs[0]);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
-        recording.dispatch(dispatch.variant(variant));
+        recording.dispatch_maps(dispatch, inputs[0], outputs[0]);
         Ok(())
     }
 }

@@ -3,5 +3,5 @@
 mod planar;
 mod quads;
 
-pub(super) use planar::Planar;
+pub(super) use planar::PLANAR;
 pub(super) use quads::Quads;

@@ -1,11 +1,10 @@
 //! The definition, on planar maps.
 
 use crate::error::Result;
-use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Kernel, Recording, Work};
+use crate::kernels::{Dispatch, Grid, Io, Plain, Recording, Work};
 use crate::ops::WeightedSum;
 use crate::ops::weighted_sum::MAPS;
-use crate::shader::{Shader, Variant, shader_params};
+use crate::shader::{Shader, shader_params};
 
 shader_params! {
     struct Params {
@@ -21,36 +20,19 @@ static SHADER: Shader = Shader {
 };
 
 /// The definition, on planar maps.
-#[derive(Debug)]
-pub(in crate::kernels) struct Planar;
+pub(in crate::kernels) static PLANAR: Plain =
+    Plain { id: "weighted_sum/planar", shader: &SHADER, dispatch };
 
-impl Kernel for Planar {
-    fn id(&self) -> &'static str {
-        "weighted_sum/planar"
+fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {
+    let op: &WeightedSum = work.op()?;
+    let elements = recording.info(outputs[0]).spec.shape.elements();
+    let params = Params { elements: elements as u32, maps: op.maps as u32 };
+    let mut bindings = vec![("weights", inputs[0])];
+    for (k, name) in MAPS.into_iter().enumerate() {
+        // Any readable buffer serves behind the last map: it is not read.
+        bindings.push((name, *inputs.get(k + 1).unwrap_or(&inputs[1])));
     }
-
-    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        vec![(&SHADER, Variant::default())]
-    }
-
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
-        let op: &WeightedSum = work.op()?;
-        let elements = recording.info(outputs[0]).spec.shape.elements();
-        let params = Params { elements: elements as u32, maps: op.maps as u32 };
-        let mut bindings = vec![("weights", inputs[0])];
-        for (k, name) in MAPS.into_iter().enumerate() {
-            // Any readable buffer serves behind the last map: it is not read.
-            bindings.push((name, *inputs.get(k + 1).unwrap_or(&inputs[1])));
-        }
-        bindings.push(("output", outputs[0]));
-        let grid = Grid::linear(elements, 64);
-        recording.dispatch(Dispatch::new(&SHADER, "main", &params, &bindings, grid));
-        Ok(())
-    }
+    bindings.push(("output", outputs[0]));
+    let grid = Grid::linear(elements, 64);
+    Ok(Dispatch::new(&SHADER, "main", &params, &bindings, grid))
 }

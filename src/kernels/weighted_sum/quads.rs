@@ -1,9 +1,8 @@
 //! On maps of four channels a texel.
 
 use crate::error::Result;
-use crate::graph::TensorId;
 use crate::kernels::{
-    Caps, Dispatch, Grid, Kernel, Layout, MAX_WORKGROUPS, Recording, Work, all_texels,
+    Caps, Dispatch, Grid, Io, Kernel, Layout, MAX_WORKGROUPS, Recording, Work, all_texels,
 };
 use crate::ops::WeightedSum;
 use crate::ops::weighted_sum::MAPS;
@@ -63,13 +62,7 @@ impl Kernel for Quads {
         true
     }
 
-    fn record(
-        &self,
-        work: &Work,
-        recording: &mut Recording,
-        inputs: &[TensorId],
-        outputs: &[TensorId],
-    ) -> Result<()> {
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let op: &WeightedSum = work.op()?;
         let texels = recording.quads(outputs[0])?.texels() as u32;
         let groups = texels.div_ceil(TEXELS * 64).min(MAX_WORKGROUPS);
@@ -80,8 +73,7 @@ impl Kernel for Quads {
         let bindings: Vec<_> = ends.into_iter().chain(maps).collect();
         let grid = Grid::Workgroups([groups, 1, recording.batch()]);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
-        let variant = recording.texels(variant(op.maps), inputs[1], outputs[0]);
-        recording.dispatch(dispatch.variant(variant));
+        recording.dispatch_maps(dispatch.variant(variant(op.maps)), inputs[1], outputs[0]);
         Ok(())
     }
 }

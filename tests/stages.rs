@@ -15,7 +15,7 @@ use smr_gpu::simulator::dataset;
 use smr_gpu::simulator::render::{Renderer, Request};
 use smr_gpu::simulator::scene::Mix;
 use smr_gpu::tensor::{Tensor, Value};
-use smr_gpu::{Config, Device, Error, Frame, GpuDetector, Precision};
+use smr_gpu::{Config, Device, Error, Frame, GpuDetector, Precision, WeightSource};
 
 /// The bound on each stage's relative L2 error on the pictures of these tests.
 const STAGE_BOUND: f64 = 1e-5;
@@ -45,15 +45,27 @@ fn floats<'a>(stages: &'a [(String, Value)], name: &str) -> &'a [f32] {
     found.unwrap_or_else(|| panic!("no stage {name}")).1.f32().expect("floats").data()
 }
 
-/// PyTorch's tensors, in float64 from the same weights: see weights/training/fixtures.py.
 #[test]
 fn stages_match_pytorch() {
-    let bytes = std::fs::read(file("tests/fixtures/stages.safetensors")).expect("the fixture");
+    match_pytorch("weights/smrnet.safetensors", "tests/fixtures/stages.safetensors");
+}
+
+#[test]
+fn stages_of_the_small_network_match_pytorch() {
+    match_pytorch("weights/smrnet-s.safetensors", "tests/fixtures/stages-s.safetensors");
+}
+
+/// PyTorch's tensors, in float64 from the same weights: see weights/training/fixtures.py.
+fn match_pytorch(weights: &str, fixture: &str) {
+    let bytes = std::fs::read(file(fixture)).expect("the fixture");
     let golden = safetensors::SafeTensors::deserialize(&bytes).expect("the fixture's tensors");
     let picture = image::open(file("tests/fixtures/stages.png")).expect("the fixture's picture");
     for device in [Device::Gpu(AdapterChoice::Auto), Device::Cpu, Device::Reference] {
         let size = golden.tensor("pixels").expect("pixels").shape()[2];
-        let detector = detector(device.clone(), |c| c.input_size = Some(size));
+        let detector = detector(device.clone(), |c| {
+            c.weights = WeightSource::File(file(weights));
+            c.input_size = Some(size);
+        });
         let (found, stages) =
             detector.detect_with_stages(&Frame::from(&picture)).expect("a detection");
         let mut compared = 0;

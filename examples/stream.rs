@@ -32,8 +32,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let data = coco::parse(&std::fs::read(folder.join("annotations.json"))?)?;
     let mut frames = Vec::new();
     for picture in &data.pictures {
-        let decoded = picture::read(&folder.join("images").join(&picture.file))
-            .or_else(|_| picture::read(&folder.join(&picture.file)))?
+        let decoded = picture::read(folder.join("images").join(&picture.file))
+            .or_else(|_| picture::read(folder.join(&picture.file)))?
             .into_rgb8();
         let (width, height) = decoded.dimensions();
         let mut frame = Frame::new(decoded.into_raw(), width, height, PixelFormat::Rgb8);

@@ -180,7 +180,8 @@ impl DetectorArgs {
         config.input_size = self.size;
         config.sensor = self.sensor()?;
         config.scene = self.scene();
-        if let Some(file) = config.sensor.as_ref().and_then(|sensor| sensor.reference.clone()) {
+        let reference = config.sensor.as_ref().and_then(|sensor| sensor.reference.clone());
+        if let Some(file) = reference.filter(|_| config.scene.looks()) {
             let failed = |e| Failure::new(Exit::Inputs, format!("{}: {e}", file.display()));
             let picture = picture::read(&file).map_err(failed)?.into_rgb8();
             let (width, height) = picture.dimensions();

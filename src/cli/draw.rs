@@ -44,14 +44,20 @@ impl<'a> Artist<'a> {
 
     /// The picture with what was found in it, dark where nobody looked.
     pub fn draw_found(&self, picture: &DynamicImage, found: &Detections) -> RgbImage {
-        let mut seen = picture.to_rgb8();
-        darken(&mut seen, found.regions.as_deref());
-        self.draw(&seen.into(), &found.detections)
+        let mut canvas = picture.to_rgb8();
+        darken(&mut canvas, found.regions.as_deref());
+        self.mark(&mut canvas, &found.detections);
+        canvas
     }
 
     /// The picture with the detections in it, the best on top.
     pub fn draw(&self, picture: &DynamicImage, detections: &[Detection]) -> RgbImage {
         let mut canvas = picture.to_rgb8();
+        self.mark(&mut canvas, detections);
+        canvas
+    }
+
+    fn mark(&self, canvas: &mut RgbImage, detections: &[Detection]) {
         let side = canvas.width().min(canvas.height());
         // 3 px lines and 24 px letters in the sensor's 1000 px.
         let line = (side / 330).max(1) as i32;
@@ -61,14 +67,13 @@ impl<'a> Artist<'a> {
             let colour = COLOURS[class % COLOURS.len()];
             let corners = detection.bbox.map(|v| v.round() as i32);
             // A dark rim keeps the line apart from a bright ground.
-            frame(&mut canvas, corners, line + (line + 1) / 2, BLACK);
-            frame(&mut canvas, corners, line, colour);
+            frame(canvas, corners, line + (line + 1) / 2, BLACK);
+            frame(canvas, corners, line, colour);
             if let Some(yaw) = detection.yaw_deg {
-                arrow(&mut canvas, detection.bbox, yaw, line, colour);
+                arrow(canvas, detection.bbox, yaw, line, colour);
             }
-            self.label(&mut canvas, detection, corners, letters, colour);
+            self.label(canvas, detection, corners, letters, colour);
         }
-        canvas
     }
 
     /// Draws a box's edge with a dark rim.

@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use crate::cpu::{Crop, crop_resize};
+use crate::cpu::crop_resize;
 use crate::detector::Config;
-use crate::detector::input::Input;
+use crate::detector::input::{Input, crop};
 use crate::detector::runner::Runner;
 use crate::error::Result;
 use crate::frame::Frame;
@@ -21,7 +21,7 @@ use crate::tensor::{Tensor, Value};
 /// Side of a cell in millimetres.
 const CELL_MM: f64 = 0.5;
 /// Least and most share of the brightness by which untouched gel may differ from its surroundings: see
-/// [`Contact`]. Both, and [`CLUSTER`], were chosen on 922 simulated snaps, which all show with limits an eighth higher.
+/// [`Contact`]. Chosen on 922 simulated snaps.
 const OWN: [f32; 2] = [0.01, 0.052];
 /// The same against a reference frame: wear and clouds are in that too.
 const AGAINST: [f32; 2] = [0.0234; 2];
@@ -105,7 +105,7 @@ pub(super) struct Kind {
 
 /// The small graph that looks for contact, and what runs it.
 pub(super) struct Detector {
-    pub kind: Kind,
+    kind: Kind,
     graph: Graph,
     runner: Runner,
     picture: TensorId,
@@ -139,15 +139,9 @@ pub(super) fn reference_cells(frame: &Frame, view: &View) -> Result<Value> {
     let size = cells(view);
     let pixels = frame.pixels(view.part)?;
     let pixels = Tensor::new([pixels.len()], pixels)?;
-    let (op, crop) = (resize(size), crop(view, size));
+    let [height, width] = size;
+    let (op, crop) = (resize(size), crop(view, [width, height]));
     Ok(crop_resize(&pixels, crop, size, op.mean, op.std).into())
-}
-
-/// The part of a view as [`Frame::pixels`] gives it, a cell a pixel.
-fn crop(view: &View, [height, width]: [usize; 2]) -> Crop {
-    let (columns, rows) = (view.part.width as usize, view.part.height as usize);
-    let (resized, window) = ([width, height], [0; 2]);
-    Crop { width: columns, height: rows, x: 0, y: 0, columns, rows, resized, window }
 }
 
 impl Detector {
@@ -203,16 +197,22 @@ impl Detector {
         before: Option<&Value>,
         deadline: Deadline,
     ) -> Result<Look> {
-        let crop = crop(&input.view, self.kind.cells).to_tensor(input.pixels.elements())?.into();
+        let [height, width] = self.kind.cells;
+        let crop = crop(&input.view, [width, height]).to_tensor(input.pixels.elements())?.into();
         let mut inputs = vec![(self.picture, &input.pixels), (self.crop, &crop)];
         inputs.extend(self.reference.zip(reference));
         let nothing = before.is_none();
-        let [height, width] = self.kind.cells;
-        let blank: Value = match self.before.filter(|_| nothing) {
-            Some(_) => Tensor::<f32>::zeros([3, height, width]).into(),
-            None => Tensor::<f32>::zeros([0]).into(),
-        };
-        inputs.extend(self.before.map(|id| (id, before.unwrap_or(&blank))));
+        // The first frame of a stream is compared with anything.
+        let blank: Value;
+        if let Some(id) = self.before {
+            inputs.push(match before {
+                Some(before) => (id, before),
+                None => {
+                    blank = Tensor::<f32>::zeros([3, height, width]).into();
+                    (id, &blank)
+                }
+            });
+        }
         let (mut values, stages) = self.runner.run(&self.graph, &[], &inputs, deadline).await?;
         let words = |id: TensorId| match values.get(&id) {
             Some(Value::U32(words)) => words.data().to_vec(),

@@ -31,10 +31,9 @@ pub(super) struct Engines {
     pub choice: Choice,
     /// What went otherwise than the configuration says, for people.
     pub remarks: Vec<String>,
-    /// By height, width and precision, the last used last.
-    ready: Mutex<Vec<(Key, Arc<Engine>)>>,
+    ready: Recent<Key, Engine>,
     /// What looks for contact.
-    looks: Mutex<Vec<Arc<contact::Detector>>>,
+    looks: Recent<contact::Kind, contact::Detector>,
     /// Held while one is built.
     building: Mutex<()>,
 }
@@ -73,8 +72,8 @@ impl Engines {
             adapter,
             choice,
             remarks,
-            ready: Mutex::default(),
-            looks: Mutex::default(),
+            ready: Recent::new(),
+            looks: Recent::new(),
             building: Mutex::default(),
         })
     }
@@ -112,25 +111,13 @@ impl Engines {
     /// As [`Engine::new`].
     pub fn engine_in(&self, size: [usize; 2], precision: Precision) -> Result<Arc<Engine>> {
         let key = (size, precision);
-        if let Some(engine) = self.find(key) {
-            return Ok(engine);
-        }
-        let _one = self.building.lock().unwrap_or_else(PoisonError::into_inner);
-        // Another thread may have been faster.
-        if let Some(engine) = self.find(key) {
-            return Ok(engine);
-        }
-        let like = self.ready().last().map(|(_, engine)| engine.clone());
-        let network = Network::new(self.weights.clone(), size, self.thresholds)?;
-        let gpu = self.gpu.as_ref().map(|gpu| (gpu, precision));
-        let engine = Engine::new(&self.config, network, gpu, &self.choice, like.as_deref());
-        let engine = Arc::new(pollster::block_on(engine)?);
-        let mut ready = self.ready();
-        ready.push((key, engine.clone()));
-        if ready.len() > MOST {
-            ready.remove(0);
-        }
-        Ok(engine)
+        self.ready.get_or_build(key, &self.building, || {
+            let like = self.ready.last();
+            let network = Network::new(self.weights.clone(), size, self.thresholds)?;
+            let gpu = self.gpu.as_ref().map(|gpu| (gpu, precision));
+            let engine = Engine::new(&self.config, network, gpu, &self.choice, like.as_deref());
+            pollster::block_on(engine)
+        })
     }
 
     /// What looks for contact; built first if no picture asked for it lately. Building blocks this thread.
@@ -138,32 +125,59 @@ impl Engines {
     /// # Errors
     /// As [`Engine::new`].
     pub fn contact(&self, kind: contact::Kind) -> Result<Arc<contact::Detector>> {
-        let _one = self.building.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut looks = self.looks.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(at) = looks.iter().position(|look| look.kind == kind) {
-            let found = looks.remove(at);
-            looks.push(found.clone());
+        self.looks.get_or_build(kind, &self.building, || {
+            let gpu = self.gpu.as_ref();
+            pollster::block_on(contact::Detector::new(&self.config, kind, gpu, &self.choice))
+        })
+    }
+}
+
+/// What was used lately, the last used last.
+struct Recent<K, T>(Mutex<Vec<(K, Arc<T>)>>);
+
+impl<K: PartialEq + Copy, T> Recent<K, T> {
+    fn new() -> Self {
+        Self(Mutex::new(Vec::new()))
+    }
+
+    /// What `key` names; built first, one at a time while `building` is held, if it is not there.
+    fn get_or_build(
+        &self,
+        key: K,
+        building: &Mutex<()>,
+        build: impl FnOnce() -> Result<T>,
+    ) -> Result<Arc<T>> {
+        if let Some(found) = self.find(key) {
             return Ok(found);
         }
-        let look = contact::Detector::new(&self.config, kind, self.gpu.as_ref(), &self.choice);
-        let look = Arc::new(pollster::block_on(look)?);
-        looks.push(look.clone());
-        if looks.len() > MOST {
-            looks.remove(0);
+        let _one = building.lock().unwrap_or_else(PoisonError::into_inner);
+        // Another thread may have been faster.
+        if let Some(found) = self.find(key) {
+            return Ok(found);
         }
-        Ok(look)
+        let built = Arc::new(build()?);
+        let mut all = self.all();
+        all.push((key, built.clone()));
+        if all.len() > MOST {
+            all.remove(0);
+        }
+        Ok(built)
     }
 
-    fn find(&self, key: Key) -> Option<Arc<Engine>> {
-        let mut ready = self.ready();
-        let at = ready.iter().position(|(of, _)| *of == key)?;
-        let found = ready.remove(at);
-        ready.push(found);
-        ready.last().map(|(_, engine)| engine.clone())
+    fn find(&self, key: K) -> Option<Arc<T>> {
+        let mut all = self.all();
+        let at = all.iter().position(|(of, _)| *of == key)?;
+        let found = all.remove(at);
+        all.push(found);
+        all.last().map(|(_, found)| found.clone())
     }
 
-    fn ready(&self) -> MutexGuard<'_, Vec<(Key, Arc<Engine>)>> {
-        self.ready.lock().unwrap_or_else(PoisonError::into_inner)
+    fn last(&self) -> Option<Arc<T>> {
+        self.all().last().map(|(_, last)| last.clone())
+    }
+
+    fn all(&self) -> MutexGuard<'_, Vec<(K, Arc<T>)>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -67,12 +67,7 @@ impl Input {
     /// [`Error::Capacity`] for a part of the frame that is too large.
     pub fn new(start: Instant, frame: &Frame, view: View, geometry: Geometry) -> Result<Self> {
         let pixels = frame.pixels(view.part)?;
-        let (columns, rows) = (view.part.width as usize, view.part.height as usize);
-        let resized = geometry.resized;
-        let window = [0; 2];
-        let crop =
-            Crop { width: columns, height: rows, x: 0, y: 0, columns, rows, resized, window };
-        let crop = crop.to_tensor(pixels.len())?.into();
+        let crop = crop(&view, geometry.resized).to_tensor(pixels.len())?.into();
         let pixels = Tensor::new([pixels.len()], pixels)?.into();
         Ok(Self { start, view, geometry, pixels, crop })
     }
@@ -215,6 +210,12 @@ impl Input {
             })
             .collect()
     }
+}
+
+/// The part of a view as [`Frame::pixels`] gives it, to be resized to this width and height.
+pub(super) fn crop(view: &View, resized: [usize; 2]) -> Crop {
+    let (columns, rows) = (view.part.width as usize, view.part.height as usize);
+    Crop { width: columns, height: rows, x: 0, y: 0, columns, rows, resized, window: [0; 2] }
 }
 
 fn value<'a>(network: &Network, values: &'a Values, id: TensorId) -> Result<&'a Value> {

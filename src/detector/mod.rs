@@ -384,8 +384,8 @@ impl GpuDetector {
     ) -> Result<Detections> {
         let precision = engines.precision();
         match self.look_into_as(engines, precision, input, windows, deadline).await {
-            Err(Error::NotFinite { .. }) if precision == Precision::F16 => {
-                self.look_into_as(engines, Precision::F32, input, windows, deadline).await
+            Err(e) => {
+                self.look_into_as(engines, wider(precision, e)?, input, windows, deadline).await
             }
             found => found,
         }
@@ -558,9 +558,8 @@ impl GpuDetector {
         let (size, precision) = (input.geometry.size, engines.precision());
         let found = self.look_in(engines.engine_in(size, precision)?, input, deadline).await;
         match found {
-            // Past what f16 holds.
-            Err(Error::NotFinite { .. }) if precision == Precision::F16 => {
-                let engine = engines.engine_in(size, Precision::F32)?;
+            Err(e) => {
+                let engine = engines.engine_in(size, wider(precision, e)?)?;
                 self.look_in(engine, input, deadline).await
             }
             found => found.map(|(values, found)| (values, Detections { precision, ..found })),
@@ -593,6 +592,17 @@ impl GpuDetector {
         let engines = Arc::new(pollster::block_on(Engines::open(&self.config, None))?);
         *self.engines.write().unwrap_or_else(PoisonError::into_inner) = engines.clone();
         Ok(engines)
+    }
+}
+
+/// What to go on with after an error: past what f16 holds, f32.
+///
+/// # Errors
+/// The error itself.
+fn wider(precision: Precision, error: Error) -> Result<Precision> {
+    match error {
+        Error::NotFinite { .. } if precision == Precision::F16 => Ok(Precision::F32),
+        error => Err(error),
     }
 }
 

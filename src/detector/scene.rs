@@ -72,7 +72,7 @@ impl Scene {
     }
 
     /// Whether somebody must look for contact.
-    pub(super) fn looks(&self) -> bool {
+    pub fn looks(&self) -> bool {
         self.contact || self.regions
     }
 

@@ -155,12 +155,7 @@ impl Layout<'_> {
             _ => 4,
         };
         for _ in 0..count.min(room) {
-            let kind = match mix {
-                Mix::A => Kind::A,
-                Mix::B => Kind::B,
-                Mix::Mixed | Mix::None | Mix::Bare if self.rng.random_bool(0.5) => Kind::A,
-                Mix::Mixed | Mix::None | Mix::Bare => Kind::B,
-            };
+            let kind = mix.kind(self.rng);
             self.add_snap(kind);
         }
         let touching = self.rng.random_bool(0.15) && !self.forced.mild;

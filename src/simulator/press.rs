@@ -8,7 +8,7 @@ use rand_pcg::Pcg64;
 use super::camera::Camera;
 use super::look::Look;
 use super::scene::{Mix, Placed, Scene, sample_tilt, sample_yaw};
-use super::snaps::{Kind, Snap};
+use super::snaps::Snap;
 
 /// Last frame of each phase and one: nothing yet, pressing, at rest, sliding, at rest, going; then nothing
 /// any more.
@@ -41,12 +41,7 @@ impl Press {
     /// Draws a press: of A, of B, or of either.
     pub fn sample(seed: u64, mix: Mix) -> Self {
         let rng = &mut Pcg64::seed_from_u64(seed);
-        let kind = match mix {
-            Mix::A => Kind::A,
-            Mix::B => Kind::B,
-            Mix::Mixed | Mix::None | Mix::Bare if rng.random_bool(0.5) => Kind::A,
-            Mix::Mixed | Mix::None | Mix::Bare => Kind::B,
-        };
+        let kind = mix.kind(rng);
         let part = Snap::sample(rng, kind);
         let depth_mm = part.sample_depth(rng);
         let (tilt, yaw) = (sample_tilt(rng, 2.5), sample_yaw(rng));

@@ -94,6 +94,18 @@ pub enum Mix {
     Bare,
 }
 
+impl Mix {
+    /// Draws a snap's kind.
+    pub(super) fn kind(self, rng: &mut Pcg64) -> Kind {
+        match self {
+            Self::A => Kind::A,
+            Self::B => Kind::B,
+            Self::Mixed | Self::None | Self::Bare if rng.random_bool(0.5) => Kind::A,
+            Self::Mixed | Self::None | Self::Bare => Kind::B,
+        }
+    }
+}
+
 /// Everything that touches the gel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
@@ -126,12 +138,7 @@ impl Scene {
             _ => 4,
         };
         for _ in 0..count {
-            let kind = match mix {
-                Mix::A => Kind::A,
-                Mix::B => Kind::B,
-                Mix::Mixed | Mix::None | Mix::Bare if rng.random_bool(0.5) => Kind::A,
-                Mix::Mixed | Mix::None | Mix::Bare => Kind::B,
-            };
+            let kind = mix.kind(rng);
             scene.add_snap(rng, kind);
         }
         let touched = match mix {

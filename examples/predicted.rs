@@ -64,13 +64,7 @@ struct Total {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let file = std::env::args_os().nth(1).map(PathBuf::from).ok_or("expected a weight file")?;
-    let thresholds = Thresholds {
-        score: 0.05,
-        iou: 0.5,
-        max_detections: 100,
-        class_mask: u32::MAX,
-        least_objectness: f32::NEG_INFINITY,
-    };
+    let thresholds = Thresholds { score: 0.05, ..Thresholds::ALL };
     let weights = Weights::open(&file)?;
     let size = weights.config().paper_size();
     let network = Network::new(weights, [size; 2], thresholds)?;

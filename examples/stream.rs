@@ -10,17 +10,16 @@
 //! snaps found (a box of their class above a score of 0.5 that overlaps by at least half), boxes on frames
 //! without a label, and the largest and median distance of a centre from the label's.
 
+mod labelled;
+
 use std::error::Error;
 use std::path::Path;
 
-use smr_gpu::coco::{self, Picture};
-use smr_gpu::metrics::{box_iou, center, quantile};
-use smr_gpu::{Config, Detections, Device, Frame, GpuDetector, PixelFormat, Scene, picture};
+use smr_gpu::coco::Dataset;
+use smr_gpu::metrics::quantile;
+use smr_gpu::{Config, Detections, Device, Frame, GpuDetector, Scene};
 
-/// Scores above this count.
-const SCORE: f32 = 0.5;
-/// A box with this overlap finds its snap.
-const RIGHT: f64 = 0.5;
+use labelled::{Best, SCORE, best, center_mm, distance};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
@@ -29,17 +28,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let device: Device = device.parse()?;
     let folder = Path::new(folder);
-    let data = coco::parse(&std::fs::read(folder.join("annotations.json"))?)?;
-    let mut frames = Vec::new();
-    for picture in &data.pictures {
-        let decoded = picture::read(folder.join("images").join(&picture.file))
-            .or_else(|_| picture::read(folder.join(&picture.file)))?
-            .into_rgb8();
-        let (width, height) = decoded.dimensions();
-        let mut frame = Frame::new(decoded.into_raw(), width, height, PixelFormat::Rgb8);
-        frame.mm_per_pixel = picture.mm_per_pixel;
-        frames.push(frame);
-    }
+    let data = labelled::open(folder)?;
+    let frames = data.pictures.iter().map(|picture| labelled::frame(folder, picture));
+    let frames: Vec<Frame> = frames.collect::<Result<_, _>>()?;
     println!(
         "| | ms, median | 95 % | longest | reused | no contact | in parts | found | false | centre, mm | largest |"
     );
@@ -55,38 +46,30 @@ fn main() -> Result<(), Box<dyn Error>> {
             true => frames.iter().map(|f| detector.detect_frame(f)).collect::<Result<_, _>>()?,
             false => detector.detect_stream(frames.iter().cloned()).collect::<Result<_, _>>()?,
         };
-        print(name, &found, &data.pictures, &data.categories);
+        print(name, &found, &data);
     }
     Ok(())
 }
 
-fn print(name: &str, found: &[Detections], pictures: &[Picture], categories: &[String]) {
+fn print(name: &str, found: &[Detections], data: &Dataset) {
     let ms: Vec<f64> = found.iter().map(|f| f.wall.as_secs_f64() * 1e3).collect();
     let at = |values: &[f64], share| quantile(values, share).unwrap_or(f64::NAN);
-    let (mut labelled, mut right, mut wrong, mut errors) = (0, 0, 0, Vec::new());
-    for (found, picture) in found.iter().zip(pictures) {
-        let mm = f64::from(found.mm_per_pixel);
+    let (mut snaps, mut wrong, mut errors) = (0, 0, Vec::new());
+    for (found, picture) in found.iter().zip(&data.pictures) {
         if picture.labels.is_empty() {
             wrong += found.detections.len();
         }
-        for label in &picture.labels {
-            labelled += 1;
-            let class = &categories[label.category];
-            let of_class = found.detections.iter().filter(|d| d.class.eq_ignore_ascii_case(class));
-            let judged = of_class.map(|d| d.bbox.map(f64::from));
-            let judged = judged.map(|bbox| (box_iou(label.truth.bbox, bbox), bbox));
-            if let Some((iou, bbox)) = judged.max_by(|a, b| a.0.total_cmp(&b.0))
-                && iou >= RIGHT
-            {
-                right += 1;
-                let [a, b] = [center(bbox), center(label.truth.bbox)];
-                errors.push((a[0] - b[0]).hypot(a[1] - b[1]) * mm);
-            }
+        for label in labelled::snaps(picture) {
+            snaps += 1;
+            let best = best(found, &data.categories[label.category], label);
+            let right = best.filter(Best::is_right);
+            errors.extend(right.map(|b| distance(b.center, center_mm(label, found))));
         }
     }
+    let right = errors.len();
     let count = |of: fn(&Detections) -> bool| found.iter().filter(|found| of(found)).count();
     println!(
-        "| {name} | {:.1} | {:.1} | {:.1} | {} | {} | {} | {right} of {labelled} | {wrong} | {:.3} | {:.3} |",
+        "| {name} | {:.1} | {:.1} | {:.1} | {} | {} | {} | {right} of {snaps} | {wrong} | {:.3} | {:.3} |",
         at(&ms, 0.5),
         at(&ms, 0.95),
         at(&ms, 1.0),

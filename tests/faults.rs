@@ -12,7 +12,7 @@ use smr_gpu::ops::case::random;
 use smr_gpu::ops::{Conv2d, MaxPool2d};
 use smr_gpu::shape::{Extent, TensorSpec};
 use smr_gpu::tensor::Value;
-use smr_gpu::{Config, Detection, Device, Error, Frame, GpuDetector, PixelFormat};
+use smr_gpu::{Config, Detection, Device, Error, Frame, GpuDetector, PixelFormat, Scene};
 
 const WEIGHTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors");
 
@@ -170,10 +170,10 @@ fn a_slot_waits_for_a_late_run_no_longer_than_it_may() {
     assert_eq!(small.run(&mut slot).expect("a run"), want);
 }
 
-/// The network at its smallest.
+/// The network at its smallest, and nothing before it.
 fn config(change: impl FnOnce(Config) -> Config) -> Config {
     let gpu = Device::Gpu(AdapterChoice::Auto);
-    change(Config::new(WEIGHTS).device(gpu).input_size(64).score(0.0))
+    change(Config::new(WEIGHTS).device(gpu).input_size(64).score(0.0).scene(Scene::FULL))
 }
 
 fn with_faults(faults: &Faults, change: impl FnOnce(Config) -> Config) -> Config {
@@ -235,6 +235,32 @@ fn a_detection_that_fails_leaves_the_next_right() {
                 assert_eq!(detect(&detector, &frame).expect(&what), want, "{what}: {fault:?}");
                 assert_eq!(faults.strays(), [""; 0], "{what}: {fault:?}");
             }
+        }
+    }
+}
+
+/// The first calls of a detection are those of the look for contact.
+#[test]
+fn a_look_for_contact_that_fails_leaves_the_next_right() {
+    let _one = alone();
+    let faults = Faults::default();
+    let change = |c: Config| c.scene(Scene { contact: true, ..Scene::FULL });
+    let detector = GpuDetector::new(with_faults(&faults, change)).expect("a detector");
+    let frame = frame(80, 70, 1);
+    let found = detector.detect_frame(&frame).expect("a detection");
+    assert!(found.contact == Some(true) && !found.detections.is_empty());
+    for call in [Call::Submit, Call::Map] {
+        for fault in kinds(call) {
+            faults.fail(call, 0, fault);
+            match fault {
+                Fault::Lost => {
+                    let again = detect(&detector, &frame).expect("on a new device");
+                    assert_eq!(again, found.detections);
+                }
+                _ => check(detect(&detector, &frame), fault, &format!("{call:?}")),
+            }
+            assert!(!faults.is_due(), "{call:?}: {fault:?} did not come about");
+            assert_eq!(detect(&detector, &frame).expect("the next"), found.detections);
         }
     }
 }
@@ -358,22 +384,25 @@ fn many_pictures_give_the_same_bits_as_one_by_one() {
             });
         }
     });
-    // One that is no picture, and one whose run fails: the others are as before.
+    // One that is no picture. Pairs run together: the first pair's run fails, or that of the picture which
+    // has none beside it.
     let empty = Frame::new(vec![0u8; 0], 0, 0, PixelFormat::Gray8);
     let mut given: Vec<Frame> = frames.clone();
     given.insert(3, empty);
-    faults.fail(Call::Submit, 5, Fault::Invalid);
-    let mut errors = 0;
-    let found: Vec<_> = detector.detect_many(given).collect();
-    assert_eq!(found.len(), 9);
-    for (at, found) in found.into_iter().enumerate() {
-        match found {
-            Ok(found) => assert_eq!(found.detections, want[at - usize::from(at > 3)], "{at}"),
-            Err(Error::Driver { .. }) => errors += 1,
-            Err(e) => assert!(at == 3 && matches!(e, Error::Picture { .. }), "{at}: {e}"),
+    for (run, failed) in [(0, None), (1, Some(2))] {
+        faults.fail(Call::Submit, run, Fault::Invalid);
+        let found: Vec<_> = detector.detect_many(given.iter().cloned()).collect();
+        assert!(!faults.is_due());
+        assert_eq!(found.len(), 9);
+        for (at, found) in found.into_iter().enumerate() {
+            match found {
+                Ok(found) => assert_eq!(found.detections, want[at - usize::from(at > 3)], "{at}"),
+                // Of a pair each is looked at again, alone.
+                Err(Error::Driver { .. }) => assert_eq!(Some(at), failed),
+                Err(e) => assert!(at == 3 && matches!(e, Error::Picture { .. }), "{at}: {e}"),
+            }
         }
     }
-    assert_eq!(errors, 1);
 }
 
 /// Bytes of memory that the process has.

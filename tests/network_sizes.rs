@@ -31,13 +31,7 @@ fn size_of(op: &dyn Op, inputs: &[&TensorSpec]) -> String {
 fn every_operation_of_the_network_has_a_case_of_its_size() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("weights/smrnet.safetensors");
     let weights = Weights::open(&path).expect("the weights");
-    let thresholds = Thresholds {
-        score: 0.05,
-        iou: 0.5,
-        max_detections: 100,
-        class_mask: 3,
-        least_objectness: f32::NEG_INFINITY,
-    };
+    let thresholds = Thresholds { score: 0.05, ..Thresholds::ALL };
     let network = Network::new(weights, [320; 2], thresholds).expect("a network");
     let needed: BTreeSet<String> =
         network.graph.operations().map(|(op, inputs)| size_of(op, &inputs)).collect();
@@ -55,13 +49,7 @@ fn every_operation_of_the_network_has_a_case_of_its_size() {
 fn what_witnesses_say_is_short() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("weights/smrnet.safetensors");
     let weights = Weights::open(&path).expect("the weights");
-    let thresholds = Thresholds {
-        score: 0.05,
-        iou: 0.5,
-        max_detections: 100,
-        class_mask: 3,
-        least_objectness: f32::NEG_INFINITY,
-    };
+    let thresholds = Thresholds { score: 0.05, ..Thresholds::ALL };
     let network = Network::new(weights, [320; 2], thresholds).expect("a network");
     let words = |id| network.graph.spec(id).shape.elements();
     let told: usize = network.witnesses.iter().map(|w| words(w.counts)).sum();

@@ -128,6 +128,40 @@ fn parts_and_live_proposals_find_the_snap_that_the_whole_finds() {
     }
 }
 
+/// What runs together is windows of a size, of whichever pictures; what is left over runs alone.
+#[test]
+fn frames_given_together_find_what_each_finds_alone() {
+    let sample = |name: &str| {
+        let picture = picture::read(file(name)).expect("a sample").into_rgb8();
+        Frame::new(picture.into_raw(), SIDE, SIDE, PixelFormat::Rgb8)
+    };
+    let [mixed, stud] = ["samples/mixed.png", "samples/stud.png"].map(sample);
+    let short = Frame::new(vec![0; 7], SIDE, SIDE, PixelFormat::Rgb8);
+    let oblong = Frame::new(vec![90; 300 * 200], 300, 200, PixelFormat::Gray8);
+    let two = gel(3, 1.0, |x, y| disc(200, 200)(x, y) + disc(800, 800)(x, y));
+    let bare = gel(1, 1.0, |_, _| 0.0);
+    let frames = [mixed.clone(), bare, short, stud, two.clone(), oblong, mixed, two.clone(), two];
+    for scene in [Scene::FULL, Scene::default(), Scene::SAVING] {
+        let config = config(Device::Gpu(AdapterChoice::Auto), scene).input_size(160);
+        let detector = GpuDetector::new(config.score(0.01).batch(2)).expect("a detector");
+        let together: Vec<_> = detector.detect_many(frames.iter().cloned()).collect();
+        assert_eq!(together.len(), frames.len());
+        let mut found = 0;
+        for (at, (together, frame)) in together.into_iter().zip(&frames).enumerate() {
+            match (together, detector.detect_frame(frame)) {
+                (Ok(a), Ok(b)) => {
+                    assert_eq!(a.detections, b.detections, "frame {at}");
+                    assert_eq!((a.contact, &a.regions), (b.contact, &b.regions), "frame {at}");
+                    found += a.detections.len();
+                }
+                (Err(a), Err(b)) => assert_eq!((at, a.to_string()), (2, b.to_string())),
+                (a, b) => panic!("frame {at}: {a:?} together, {b:?} alone"),
+            }
+        }
+        assert!(found > 0, "nothing to compare");
+    }
+}
+
 #[test]
 fn impossible_scenes_are_refused() {
     for scene in [

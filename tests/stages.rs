@@ -178,13 +178,7 @@ fn a_choice_by_rounding_is_no_failure() {
 #[test]
 fn buffer_reuse_changes_no_bit() {
     let weights = Weights::open(&file("weights/smrnet.safetensors")).expect("the weights");
-    let thresholds = Thresholds {
-        score: 0.05,
-        iou: 0.5,
-        max_detections: 100,
-        class_mask: 3,
-        least_objectness: f32::NEG_INFINITY,
-    };
+    let thresholds = Thresholds { score: 0.05, ..Thresholds::ALL };
     let rgba = first_sample().to_rgba8();
     let (width, height) = (rgba.width() as usize, rgba.height() as usize);
     let network = Network::new(weights, [320; 2], thresholds).expect("a network");
@@ -243,13 +237,7 @@ fn small_config(variant: Variant) -> ModelConfig {
 fn bounds_checks_change_no_bit() {
     let full = Variant { safe: true, msff: true, rw: true };
     let weights = Weights::random(small_config(full), 7);
-    let thresholds = Thresholds {
-        score: 0.0,
-        iou: 0.5,
-        max_detections: 100,
-        class_mask: u32::MAX,
-        least_objectness: f32::NEG_INFINITY,
-    };
+    let thresholds = Thresholds::ALL;
     let network = Network::new(weights, [64; 2], thresholds).expect("a network");
     let pixel = |i| (i as u32).wrapping_mul(2_654_435_761);
     let picture = Value::from(Tensor::from_fn([80 * 70], pixel));
@@ -290,13 +278,7 @@ fn every_variant_matches_its_reference_and_pytorch() {
     ];
     for (label, variant) in variants {
         let weights = Weights::random(small_config(variant), 7);
-        let thresholds = Thresholds {
-            score: 0.0,
-            iou: 0.5,
-            max_detections: 100,
-            class_mask: u32::MAX,
-            least_objectness: f32::NEG_INFINITY,
-        };
+        let thresholds = Thresholds::ALL;
         let network = Network::new(weights, [64; 2], thresholds).expect("a network");
         let graph = &network.graph;
         let pixel = |i| (i as u32).wrapping_mul(2_654_435_761);

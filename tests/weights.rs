@@ -13,13 +13,6 @@ use smr_gpu::tensor::{Tensor, Value};
 const CLASSES: usize = 2;
 const ANCHORS: usize = 6;
 const REDUCTION: usize = 16;
-const THRESHOLDS: Thresholds = Thresholds {
-    score: 0.0,
-    iou: 0.5,
-    max_detections: 100,
-    class_mask: u32::MAX,
-    least_objectness: f32::NEG_INFINITY,
-};
 
 fn config(variant: Variant) -> Json {
     json!({
@@ -205,7 +198,7 @@ fn file(config: &Json, tensors: &[Stored]) -> Vec<u8> {
 }
 
 fn network(bytes: &[u8]) -> smr_gpu::Result<Network> {
-    Network::new(Weights::from_bytes(Path::new("w"), bytes)?, [32; 2], THRESHOLDS)
+    Network::new(Weights::from_bytes(Path::new("w"), bytes)?, [32; 2], Thresholds::ALL)
 }
 
 /// Each combination of the paper's modules loads from a file with exactly the tensors that PyTorch
@@ -350,7 +343,7 @@ fn every_value_of_the_configuration_has_a_range() {
     // Also where no file brings it.
     let mut config = ModelConfig::parse(&whole).expect("a configuration");
     config.reduction = 0;
-    let error = Network::new(Weights::random(config, 1), [32; 2], THRESHOLDS);
+    let error = Network::new(Weights::random(config, 1), [32; 2], Thresholds::ALL);
     let error = error.expect_err("a range");
     assert!(error.to_string().contains("reduction: expected 1 to 64, got 0"), "{error}");
 }

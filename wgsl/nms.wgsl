@@ -47,6 +47,10 @@ fn mask(
         return;
     }
     let index = order[i];
+    // A box that takes no part suppresses none, and `scan` never reads its row.
+    if scores[index] <= params.min_score {
+        return;
+    }
     let box = boxes[index];
     var word = 0u;
     for (var j = max(first, i + 1u); j < min(first + 32u, n); j++) {

@@ -19,13 +19,7 @@ fn bytes() -> Vec<u8> {
 fn network(bytes: &[u8], iou: f32) -> Network {
     let weights = Weights::from_bytes(Path::new("weights"), bytes).expect("weights");
     // Every box counts, so that each stage has something to lose.
-    let thresholds = Thresholds {
-        score: 0.0,
-        iou,
-        max_detections: 100,
-        class_mask: u32::MAX,
-        least_objectness: f32::NEG_INFINITY,
-    };
+    let thresholds = Thresholds { iou, ..Thresholds::ALL };
     Network::new(weights, [SIZE; 2], thresholds).expect("a network")
 }
 

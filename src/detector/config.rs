@@ -17,8 +17,7 @@ use crate::sensor::Sensor;
 #[cfg(doc)]
 use crate::detector::{Detections, GpuDetector};
 
-/// Most detections a picture may have.
-const MAX_DETECTIONS: usize = 100;
+const MAX_DETECTIONS: usize = Thresholds::ALL.max_detections;
 
 /// What runs the network.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
@@ -133,8 +132,11 @@ pub struct Config {
     /// Build everything anew when the device was lost, once a call, so that the next picture is found
     /// like any other.
     pub rebuild_on_loss: bool,
-    /// Pictures that may be in flight on a GPU at a time; each takes memory once it is needed.
+    /// Runs that may be in flight on a GPU at a time; each takes memory once it is needed.
     pub in_flight: usize,
+    /// Pictures, or parts of pictures, of one size that a run on a GPU takes together where there are as many:
+    /// in [`GpuDetector::detect_many`], and with [`Scene::regions`].
+    pub batch: usize,
     /// How a GPU stores maps and weights. In [`Precision::F16`] they take half the memory, and results are
     /// less exact; a picture with values past 65504, which is as far as f16 goes, is looked at once more in
     /// f32: see [`Detections::precision`]. The CPU and the reference know no f16.
@@ -180,6 +182,7 @@ impl Config {
             timeout: GpuOptions::default().timeout,
             rebuild_on_loss: true,
             in_flight: 2,
+            batch: 2,
             precision: Precision::F32,
             choice: Choice::default(),
             choices: None,
@@ -256,8 +259,14 @@ impl Config {
     }
 
     /// Sets [`Config::in_flight`].
-    pub fn in_flight(mut self, pictures: usize) -> Self {
-        self.in_flight = pictures;
+    pub fn in_flight(mut self, runs: usize) -> Self {
+        self.in_flight = runs;
+        self
+    }
+
+    /// Sets [`Config::batch`].
+    pub fn batch(mut self, pictures: usize) -> Self {
+        self.batch = pictures;
         self
     }
 
@@ -319,7 +328,7 @@ impl Config {
             iou: self.iou,
             max_detections: self.max_detections,
             class_mask,
-            least_objectness: self.scene.least_objectness(),
+            least_objectness: self.scene.least_objectness(self.score),
         })
     }
 }

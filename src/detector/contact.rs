@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::cpu::crop_resize;
 use crate::detector::Config;
 use crate::detector::input::{Input, crop};
-use crate::detector::runner::Runner;
+use crate::detector::runner::{On, Runner};
 use crate::error::Result;
 use crate::frame::Frame;
 use crate::gpu::{Deadline, Gpu};
@@ -181,8 +181,8 @@ impl Detector {
             }
         };
         // A limit lies within f16's rounding of a level.
-        let gpu = gpu.map(|gpu| (gpu, Precision::F32));
-        let runner = Runner::new(config, &graph, &[], gpu, choice, None).await?;
+        let on = gpu.map(|gpu| On { gpu, precision: Precision::F32, batch: 1 });
+        let runner = Runner::new(config, &graph, &[], on, choice, None).await?;
         Ok(Self { kind, graph, runner, picture, crop, reference, before, cells, words, changed })
     }
 

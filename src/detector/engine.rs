@@ -1,17 +1,13 @@
 //! The network for one size of input, and what runs it.
 
-use std::sync::Arc;
-
 use crate::comparison::{How, Values};
 use crate::detector::Config;
-use crate::detector::runner::Runner;
+use crate::detector::runner::{On, Runner};
 use crate::error::Result;
-use crate::gpu::{Deadline, Gpu};
+use crate::gpu::{Deadline, Gpu, Inputs};
 use crate::graph::{StageTime, TensorId};
 use crate::lower::Choice;
 use crate::model::Network;
-use crate::precision::Precision;
-use crate::tensor::Value;
 use crate::tune::{Place, Tuned};
 
 /// A network and what runs it.
@@ -22,12 +18,12 @@ pub(super) struct Engine {
 }
 
 impl Engine {
-    /// Makes a network ready on `gpu`, where it is stored in a precision, or on the CPU. The weights that
-    /// `like` has on the device, an engine of the same weights, are shared.
+    /// Makes a network ready on `gpu`, or on the CPU. The weights that `like` has on the device, an engine of
+    /// the same weights, are shared.
     pub async fn new(
         config: &Config,
         mut network: Network,
-        gpu: Option<(&Arc<Gpu>, Precision)>,
+        on: Option<On<'_>>,
         choice: &Choice,
         like: Option<&Self>,
     ) -> Result<Self> {
@@ -36,7 +32,7 @@ impl Engine {
             false => Vec::new(),
         };
         let like = like.map(|engine| &engine.runner);
-        let runner = Runner::new(config, &network.graph, &keep, gpu, choice, like).await?;
+        let runner = Runner::new(config, &network.graph, &keep, on, choice, like).await?;
         if !matches!(runner, Runner::Reference) && !config.keep_stages {
             network.graph.forget_constants();
         }
@@ -57,10 +53,19 @@ impl Engine {
     /// they came.
     pub async fn run(
         &self,
-        inputs: &[(TensorId, &Value)],
+        inputs: &Inputs<'_>,
         deadline: Deadline,
     ) -> Result<(Values, Vec<StageTime>)> {
         self.runner.run(&self.network.graph, &self.keep, inputs, deadline).await
+    }
+
+    /// [`Engine::run`] of as many pictures as it was made for; the times are those of all together.
+    pub async fn run_all(
+        &self,
+        pictures: &[&Inputs<'_>],
+        deadline: Deadline,
+    ) -> Result<(Vec<Values>, Vec<StageTime>)> {
+        self.runner.run_all(&self.network.graph, &self.keep, pictures, deadline).await
     }
 }
 

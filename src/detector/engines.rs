@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::detector::contact;
 use crate::detector::engine::{self, Engine};
+use crate::detector::runner::On;
 use crate::detector::{Config, Device, WeightSource};
 use crate::error::{Error, Result};
 use crate::gpu::{AdapterChoice, Gpu, GpuOptions};
@@ -15,8 +16,16 @@ use crate::precision::Precision;
 /// longest goes.
 const MOST: usize = 12;
 
-/// What an engine is for: height and width of its input, and how it stores maps and weights.
-type Key = ([usize; 2], Precision);
+/// What an engine is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Kind {
+    /// Height and width of its input.
+    pub size: [usize; 2],
+    /// How it stores maps and weights.
+    pub precision: Precision,
+    /// Pictures that it takes together; on a CPU one after the other.
+    pub batch: usize,
+}
 
 /// A device, and an engine on it for each size.
 pub(super) struct Engines {
@@ -31,7 +40,7 @@ pub(super) struct Engines {
     pub choice: Choice,
     /// What went otherwise than the configuration says, for people.
     pub remarks: Vec<String>,
-    ready: Recent<Key, Engine>,
+    ready: Recent<Kind, Engine>,
     /// What looks for contact.
     looks: Recent<contact::Kind, contact::Detector>,
     /// Held while one is built.
@@ -91,31 +100,36 @@ impl Engines {
         Network::new(self.weights.clone(), [32; 2], self.thresholds).map(|_| ())
     }
 
-    /// The engine for inputs of `size`, height and width; built first if no picture asked for it lately.
-    /// Building blocks this thread.
-    ///
-    /// # Errors
-    /// As [`Engine::new`].
-    pub fn engine(&self, size: [usize; 2]) -> Result<Arc<Engine>> {
-        self.engine_in(size, self.precision())
-    }
-
     /// How maps and weights are stored: as the configuration says, but on the CPU.
     pub fn precision(&self) -> Precision {
         self.gpu.as_ref().map_or(Precision::F32, |_| self.config.precision)
     }
 
-    /// [`Engines::engine`] in a precision of its own.
+    /// Pictures that may run together.
+    pub fn batch(&self) -> usize {
+        self.gpu.as_ref().map_or(1, |_| self.config.batch.max(1))
+    }
+
+    /// The engine for one picture at a time with inputs of `size`, height and width, in the precision that is
+    /// asked for.
     ///
     /// # Errors
     /// As [`Engine::new`].
-    pub fn engine_in(&self, size: [usize; 2], precision: Precision) -> Result<Arc<Engine>> {
-        let key = (size, precision);
-        self.ready.get_or_build(key, &self.building, || {
+    pub fn one(&self, size: [usize; 2]) -> Result<Arc<Engine>> {
+        self.engine(Kind { size, precision: self.precision(), batch: 1 })
+    }
+
+    /// An engine; built first if no picture asked for it lately. Building blocks this thread.
+    ///
+    /// # Errors
+    /// As [`Engine::new`].
+    pub fn engine(&self, kind: Kind) -> Result<Arc<Engine>> {
+        self.ready.get_or_build(kind, &self.building, || {
             let like = self.ready.last();
+            let Kind { size, precision, batch } = kind;
             let network = Network::new(self.weights.clone(), size, self.thresholds)?;
-            let gpu = self.gpu.as_ref().map(|gpu| (gpu, precision));
-            let engine = Engine::new(&self.config, network, gpu, &self.choice, like.as_deref());
+            let on = self.gpu.as_ref().map(|gpu| On { gpu, precision, batch });
+            let engine = Engine::new(&self.config, network, on, &self.choice, like.as_deref());
             pollster::block_on(engine)
         })
     }

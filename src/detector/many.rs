@@ -1,37 +1,76 @@
 //! Many pictures in their order, several in flight.
 
 use std::collections::VecDeque;
-use std::future::Future;
+use std::future::{Future, poll_fn};
 use std::pin::Pin;
-use std::sync::Arc;
-use std::task::{Context, Poll, Wake, Waker};
+use std::task::{Context, Poll, Waker};
 
 use crate::detector::{Detections, GpuDetector};
 use crate::error::Result;
 use crate::frame::Frame;
 
-type Look<'a> = Pin<Box<dyn Future<Output = Result<Detections>> + Send + 'a>>;
+type Look<'a> = Pin<Box<dyn Future<Output = Vec<Result<Detections>>> + Send + 'a>>;
+
+/// A batch of pictures that was begun.
+enum Begun<'a> {
+    Look(Look<'a>),
+    Done(Vec<Result<Detections>>),
+}
+
+impl Begun<'_> {
+    /// Brings it on its way to the device as far as it goes without waiting.
+    fn advance(&mut self, context: &mut Context<'_>) {
+        if let Self::Look(look) = self
+            && let Poll::Ready(results) = look.as_mut().poll(context)
+        {
+            *self = Self::Done(results);
+        }
+    }
+}
 
 /// The results of many pictures, as they are asked for.
 pub(super) struct Many<'a, I> {
     detector: &'a GpuDetector,
     frames: I,
-    /// Pictures that were begun, the first first.
-    begun: VecDeque<Look<'a>>,
-    waker: Waker,
-}
-
-/// Nobody needs waking: the first picture is waited for, and the others are looked at then.
-struct Nobody;
-
-impl Wake for Nobody {
-    fn wake(self: Arc<Self>) {}
+    /// The first first.
+    begun: VecDeque<Begun<'a>>,
+    /// Results before those of `begun`.
+    done: VecDeque<Result<Detections>>,
 }
 
 impl<'a, I: Iterator<Item = Frame<'a>>> Many<'a, I> {
     pub fn new(detector: &'a GpuDetector, frames: I) -> Self {
-        let waker = Waker::from(Arc::new(Nobody));
-        Self { detector, frames, begun: VecDeque::new(), waker }
+        Self { detector, frames, begun: VecDeque::new(), done: VecDeque::new() }
+    }
+
+    /// Begins as many batches as may be in flight.
+    fn fill(&mut self) {
+        let detector = self.detector;
+        let batch = detector.engines().batch();
+        while self.begun.len() < detector.config.in_flight.max(1) {
+            let frames: Vec<Frame> = self.frames.by_ref().take(batch).collect();
+            if frames.is_empty() {
+                break;
+            }
+            let look: Look = Box::pin(async move { detector.detect_batch(&frames).await });
+            let mut begun = Begun::Look(look);
+            // On its way to the device while the next frames are made.
+            begun.advance(&mut Context::from_waker(Waker::noop()));
+            self.begun.push_back(begun);
+        }
+    }
+
+    /// The results of the first batch; the others go on meanwhile.
+    fn first(&mut self, context: &mut Context<'_>) -> Poll<Vec<Result<Detections>>> {
+        self.begun.iter_mut().for_each(|begun| begun.advance(context));
+        match self.begun.pop_front() {
+            Some(look @ Begun::Look(_)) => {
+                self.begun.push_front(look);
+                Poll::Pending
+            }
+            Some(Begun::Done(results)) => Poll::Ready(results),
+            None => Poll::Ready(Vec::new()),
+        }
     }
 }
 
@@ -39,18 +78,10 @@ impl<'a, I: Iterator<Item = Frame<'a>>> Iterator for Many<'a, I> {
     type Item = Result<Detections>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        // One more than are in flight, so that its pixels are ready when a place is free.
-        while self.begun.len() < self.detector.config.in_flight.max(1) {
-            let Some(frame) = self.frames.next() else { break };
-            let detector = self.detector;
-            let mut look: Look = Box::pin(async move { detector.detect_async(&frame).await });
-            // Polled once, it is on its way to the device.
-            match look.as_mut().poll(&mut Context::from_waker(&self.waker)) {
-                Poll::Ready(result) => self.begun.push_back(Box::pin(std::future::ready(result))),
-                Poll::Pending => self.begun.push_back(look),
-            }
+        if self.done.is_empty() {
+            self.fill();
+            self.done = pollster::block_on(poll_fn(|context| self.first(context))).into();
         }
-        let first = self.begun.pop_front()?;
-        Some(pollster::block_on(first))
+        self.done.pop_front()
     }
 }

@@ -5,6 +5,7 @@
 //! | `config` | how to build a detector |
 //! | `detection` | what it finds |
 //! | `input` | from a frame to what the network takes, and back |
+//! | `look` | the network over pictures or their parts, those of a size together |
 //! | `many` | many pictures, in order |
 //! | `scene` | what may be left out of a picture |
 //! | `contact` | where something touches the gel |
@@ -20,6 +21,7 @@ mod detection;
 mod engine;
 mod engines;
 mod input;
+mod look;
 mod many;
 mod pool;
 mod regions;
@@ -27,6 +29,7 @@ mod runner;
 mod scene;
 mod stream;
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
@@ -47,9 +50,9 @@ use crate::tune::{self, Tuned};
 pub use config::{Config, Device, WeightSource};
 pub use detection::{Comparison, Detection, Detections};
 use engine::Engine;
-use engines::Engines;
+use engines::{Engines, Kind};
 use input::{Geometry, Input};
-use regions::Window;
+use look::Sight;
 pub use scene::Scene;
 pub use stream::{MOST_REUSED, Stream};
 
@@ -128,7 +131,7 @@ impl GpuDetector {
         let reference = Mutex::default();
         let detector = Self { config, model, adapter, engines, reference, rebuilding, foreign };
         match detector.usual_frame() {
-            Some(frame) => detector.engine_for(frame).map(|_| ())?,
+            Some(frame) => detector.prepare(frame)?,
             None => detector.engines().check()?,
         }
         Ok(detector)
@@ -142,11 +145,18 @@ impl GpuDetector {
         }
     }
 
-    /// The engine for frames of this width and height.
-    fn engine_for(&self, frame: [u32; 2]) -> Result<Arc<Engine>> {
+    /// Builds what frames of this width and height need.
+    fn prepare(&self, frame: [u32; 2]) -> Result<()> {
         let view = self.view(frame, None)?;
         let geometry = Geometry::new(&view, &self.model, self.config.input_size)?;
-        self.engines().engine(geometry.size)
+        let engines = self.engines();
+        engines.one(geometry.size)?;
+        if self.config.scene.looks() {
+            let reference = self.reference(&view)?.is_some();
+            let cells = contact::cells(&view);
+            engines.contact(contact::Kind { cells, reference, stream: false })?;
+        }
+        Ok(())
     }
 
     /// What a frame of this width and height shows, or its part `crop`.
@@ -228,7 +238,7 @@ impl GpuDetector {
         progress: impl FnMut(usize, usize),
     ) -> Result<Tuned> {
         let input = self.input(&self.noise())?;
-        let engine = self.engines().engine(input.geometry.size)?;
+        let engine = self.engines().one(input.geometry.size)?;
         let inputs = input.inputs(&engine.network);
         tune::tune(gpu, &engine.network.graph, &inputs, limit, progress)
     }
@@ -240,7 +250,7 @@ impl GpuDetector {
     /// As [`profile::commands`].
     pub fn profile(&self, gpu: &Arc<Gpu>, runs: usize) -> Result<Vec<CommandTime>> {
         let input = self.input(&self.noise())?;
-        let engine = self.engines().engine(input.geometry.size)?;
+        let engine = self.engines().one(input.geometry.size)?;
         let inputs = input.inputs(&engine.network);
         let mut remarks = Vec::new();
         let choice = engine::choose(&self.config, gpu, &mut remarks);
@@ -305,11 +315,71 @@ impl GpuDetector {
         input: &Input,
         deadline: Deadline,
     ) -> Result<Detections> {
+        let sight = self.sight(engines, input, deadline).await?;
+        self.look_at(engines, sight, deadline).await
+    }
+
+    /// What a picture's contact asks for.
+    async fn sight<'a>(
+        &self,
+        engines: &Engines,
+        input: &'a Input,
+        deadline: Deadline,
+    ) -> Result<Sight<'a>> {
         let look = match self.config.scene.looks() {
             true => Some(self.touched(engines, input, None, false, deadline).await?),
             false => None,
         };
-        self.look_at(engines, input, look, deadline).await
+        Ok(Sight::new(input, look, &self.config.scene))
+    }
+
+    async fn look_at(
+        &self,
+        engines: &Engines,
+        sight: Sight<'_>,
+        deadline: Deadline,
+    ) -> Result<Detections> {
+        let mut found = look::look_at(engines, &self.config, &[sight], deadline).await;
+        found.pop().unwrap_or_else(|| Err(Error::tensor("detect", "picture", "one", "none")))
+    }
+
+    /// [`GpuDetector::detect_async`] of several frames, those of a size together.
+    async fn detect_batch(&self, frames: &[Frame<'_>]) -> Vec<Result<Detections>> {
+        let mut found = self.detect_together(frames).await;
+        for (found, frame) in found.iter_mut().zip(frames) {
+            // On a device that is opened anew.
+            if matches!(found, Err(Error::DeviceLost(_))) {
+                *found = self.detect_async(frame).await;
+            }
+        }
+        found
+    }
+
+    async fn detect_together(&self, frames: &[Frame<'_>]) -> Vec<Result<Detections>> {
+        let deadline = Deadline::after(self.config.timeout);
+        let engines = self.engines();
+        // By the frame's place.
+        let mut found = BTreeMap::new();
+        let mut inputs = Vec::new();
+        for (at, frame) in frames.iter().enumerate() {
+            match self.input(frame) {
+                Ok(input) => inputs.push((at, input)),
+                Err(e) => drop(found.insert(at, Err(e))),
+            }
+        }
+        let (mut places, mut sights) = (Vec::new(), Vec::new());
+        for (at, input) in &inputs {
+            match self.sight(&engines, input, deadline).await {
+                Ok(sight) => {
+                    places.push(*at);
+                    sights.push(sight);
+                }
+                Err(e) => drop(found.insert(*at, Err(e))),
+            }
+        }
+        let seen = look::look_at(&engines, &self.config, &sights, deadline).await;
+        found.extend(places.into_iter().zip(seen));
+        found.into_values().collect()
     }
 
     /// Looks for contact, and, for a stream, for what changed since the frame with the cells `before`.
@@ -341,85 +411,6 @@ impl GpuDetector {
         let cells = Arc::new(contact::reference_cells(frame, view)?);
         *known = Some((*view, cells.clone()));
         Ok(Some(cells))
-    }
-
-    /// Looks at a picture as far as its contact asks for it.
-    async fn look_at(
-        &self,
-        engines: &Engines,
-        input: &Input,
-        look: Option<contact::Look>,
-        deadline: Deadline,
-    ) -> Result<Detections> {
-        let scene = &self.config.scene;
-        let Some(look) = look else {
-            return Ok(self.look_with(engines, input, deadline).await?.1);
-        };
-        let touched = !look.map.is_empty();
-        let contact = Some(touched);
-        if !touched && scene.contact {
-            let stages = look.stages;
-            return Ok(Detections { contact, stages, ..input.report(Vec::new()) });
-        }
-        let windows = match touched && scene.regions {
-            true => regions::windows(&look.map, &input.geometry, scene),
-            false => None,
-        };
-        let mut stages = look.stages;
-        let found = match windows {
-            None => self.look_with(engines, input, deadline).await?.1,
-            Some(windows) => self.look_into(engines, input, &windows, deadline).await?,
-        };
-        stages.extend(found.stages);
-        Ok(Detections { contact, stages, wall: input.start.elapsed(), ..found })
-    }
-
-    /// Looks at parts of the network's input; once more in f32 where f16 does not reach.
-    async fn look_into(
-        &self,
-        engines: &Engines,
-        input: &Input,
-        windows: &[Window],
-        deadline: Deadline,
-    ) -> Result<Detections> {
-        let precision = engines.precision();
-        match self.look_into_as(engines, precision, input, windows, deadline).await {
-            Err(e) => {
-                self.look_into_as(engines, wider(precision, e)?, input, windows, deadline).await
-            }
-            found => found,
-        }
-    }
-
-    async fn look_into_as(
-        &self,
-        engines: &Engines,
-        precision: Precision,
-        input: &Input,
-        windows: &[Window],
-        deadline: Deadline,
-    ) -> Result<Detections> {
-        let mut found = Vec::new();
-        let mut proposals = 0;
-        let mut stages: Vec<StageTime> = Vec::new();
-        for (part, window) in windows.iter().enumerate() {
-            let crop = input.part(window)?;
-            let engine = engines.engine_in([window.height, window.width], precision)?;
-            let network = &engine.network;
-            let inputs = [(network.picture, &input.pixels), (network.crop, &crop)];
-            let (values, times) = engine.run(&inputs, deadline).await?;
-            let answer = input.answer(network, &values, window, part)?;
-            found.extend(answer.found);
-            proposals += answer.proposals;
-            if stages.is_empty() {
-                stages = times;
-            } else {
-                stages.iter_mut().zip(times).for_each(|(sum, more)| sum.time += more.time);
-            }
-        }
-        let found = regions::merged(found, self.config.iou, self.config.max_detections);
-        let regions = Some(windows.iter().map(|window| input.rect(window)).collect());
-        Ok(Detections { regions, proposals, stages, precision, ..input.report(found) })
     }
 
     /// Looks at frames of one camera in their order: one that equals the last that was computed keeps its
@@ -459,7 +450,7 @@ impl GpuDetector {
         let deadline = Deadline::after(self.config.timeout);
         let input = self.input(frame)?;
         let (mut values, detections) = pollster::block_on(self.look_at_stages(&input, deadline))?;
-        let engine = self.engines().engine(input.geometry.size)?;
+        let engine = self.engines().one(input.geometry.size)?;
         let graph = &engine.network.graph;
         let named = |id: TensorId| Some((graph.name(id).to_owned(), values.remove(&id)?));
         Ok((detections, graph.computed().into_iter().filter_map(named).collect()))
@@ -473,7 +464,7 @@ impl GpuDetector {
     /// [`Error::Overflow`] where the device's numbers overflow and those of the reference do not.
     pub fn compare(&self, frame: &Frame) -> Result<Comparison> {
         let mut input = self.input(frame)?;
-        let engine = self.engines().engine(input.geometry.size)?;
+        let engine = self.engines().one(input.geometry.size)?;
         if !engine.is_gpu() {
             return Err(Error::param("compare", "device", "a GPU", "the CPU"));
         }
@@ -556,11 +547,10 @@ impl GpuDetector {
         deadline: Deadline,
     ) -> Result<(Values, Detections)> {
         let (size, precision) = (input.geometry.size, engines.precision());
-        let found = self.look_in(engines.engine_in(size, precision)?, input, deadline).await;
-        match found {
-            Err(e) => {
-                let engine = engines.engine_in(size, wider(precision, e)?)?;
-                self.look_in(engine, input, deadline).await
+        let engine = |precision| engines.engine(Kind { size, precision, batch: 1 });
+        match self.look_in(engine(precision)?, input, deadline).await {
+            Err(Error::NotFinite { .. }) if precision == Precision::F16 => {
+                self.look_in(engine(Precision::F32)?, input, deadline).await
             }
             found => found.map(|(values, found)| (values, Detections { precision, ..found })),
         }
@@ -592,17 +582,6 @@ impl GpuDetector {
         let engines = Arc::new(pollster::block_on(Engines::open(&self.config, None))?);
         *self.engines.write().unwrap_or_else(PoisonError::into_inner) = engines.clone();
         Ok(engines)
-    }
-}
-
-/// What to go on with after an error: past what f16 holds, f32.
-///
-/// # Errors
-/// The error itself.
-fn wider(precision: Precision, error: Error) -> Result<Precision> {
-    match error {
-        Error::NotFinite { .. } if precision == Precision::F16 => Ok(Precision::F32),
-        error => Err(error),
     }
 }
 
@@ -670,8 +649,8 @@ mod tests {
         let detector = GpuDetector::new(config).expect("a detector");
         let want = "GpuDetector(classes A, B, sensor none named, on CPU reference (f64))";
         assert_eq!(format!("{detector:?}"), want);
-        let network =
-            format!("{:?}", detector.engine_for([1000, 1000]).expect("an engine").network);
+        let engine = detector.engines().one([320, 320]).expect("an engine");
+        let network = format!("{:?}", engine.network);
         let start = "Network(320 × 320, classes A, B, Graph(";
         assert!(network.starts_with(start) && network.len() < 100, "{network}");
     }

@@ -8,13 +8,22 @@ use crate::comparison::{How, Values};
 use crate::detector::pool::Pool;
 use crate::detector::{Config, Device};
 use crate::error::Result;
-use crate::gpu::{Deadline, Gpu, Program, ProgramOptions};
+use crate::gpu::{Deadline, Gpu, Inputs, Program, ProgramOptions};
 use crate::graph::{Graph, StageTime, TensorId};
 #[cfg(feature = "cpu")]
 use crate::host::HostPlan;
 use crate::lower::{Choice, Request, lower};
 use crate::precision::Precision;
-use crate::tensor::Value;
+
+/// The GPU on which a graph is to run.
+#[derive(Clone, Copy)]
+pub(super) struct On<'a> {
+    pub gpu: &'a Arc<Gpu>,
+    /// How maps and weights are stored.
+    pub precision: Precision,
+    /// Pictures that run together.
+    pub batch: usize,
+}
 
 /// A graph made ready on a device.
 pub(super) enum Runner {
@@ -25,18 +34,19 @@ pub(super) enum Runner {
 }
 
 impl Runner {
-    /// Makes `graph` ready on `gpu`, where it is stored in a precision, or on the CPU. What `like` has there of the same weights is shared.
+    /// Makes `graph` ready on a GPU or on the CPU. What `like` has there of the same weights is shared.
     pub async fn new(
         config: &Config,
         graph: &Graph,
         keep: &[TensorId],
-        gpu: Option<(&Arc<Gpu>, Precision)>,
+        on: Option<On<'_>>,
         choice: &Choice,
         like: Option<&Self>,
     ) -> Result<Self> {
-        Ok(match (gpu, &config.device) {
-            (Some((gpu, precision)), _) => {
-                let request = Request { keep, batch: 1, precision, caps: gpu.caps(), choice };
+        Ok(match (on, &config.device) {
+            (Some(On { gpu, precision, batch }), _) => {
+                let batch = batch as u32;
+                let request = Request { keep, batch, precision, caps: gpu.caps(), choice };
                 let lowered = lower(graph, &request)?;
                 let like = match like {
                     Some(Self::Gpu(pool)) => Some(pool.program()),
@@ -79,21 +89,50 @@ impl Runner {
         &self,
         graph: &Graph,
         keep: &[TensorId],
-        inputs: &[(TensorId, &Value)],
+        inputs: &Inputs<'_>,
         deadline: Deadline,
     ) -> Result<(Values, Vec<StageTime>)> {
+        let (mut values, times) = self.run_all(graph, keep, &[inputs], deadline).await?;
+        Ok((values.pop().unwrap_or_default(), times))
+    }
+
+    /// [`Runner::run`] of several pictures, on a GPU as many as it was made for; the times are those of all
+    /// together.
+    pub async fn run_all(
+        &self,
+        graph: &Graph,
+        keep: &[TensorId],
+        pictures: &[&Inputs<'_>],
+        deadline: Deadline,
+    ) -> Result<(Vec<Values>, Vec<StageTime>)> {
         match self {
-            Self::Reference => graph.reference(inputs, keep),
+            Self::Reference => one_by_one(pictures, |inputs| graph.reference(inputs, keep)),
             #[cfg(feature = "cpu")]
-            Self::Host(plan) => {
+            Self::Host(plan) => one_by_one(pictures, |inputs| {
                 plan.lock().unwrap_or_else(PoisonError::into_inner).run(graph, inputs)
-            }
+            }),
             Self::Gpu(pool) => {
                 let mut slot = pool.take(deadline).await?;
-                slot.submit(&[inputs])?;
-                let mut run = slot.receive(deadline).await?;
-                Ok((run.first(), run.stages))
+                slot.submit(pictures)?;
+                let run = slot.receive(deadline).await?;
+                Ok((run.values, run.stages))
             }
         }
     }
+}
+
+fn one_by_one(
+    pictures: &[&Inputs<'_>],
+    mut run: impl FnMut(&Inputs<'_>) -> Result<(Values, Vec<StageTime>)>,
+) -> Result<(Vec<Values>, Vec<StageTime>)> {
+    let (mut all, mut stages) = (Vec::new(), Vec::<StageTime>::new());
+    for inputs in pictures {
+        let (values, times) = run(inputs)?;
+        all.push(values);
+        match stages.is_empty() {
+            true => stages = times,
+            false => stages.iter_mut().zip(times).for_each(|(sum, more)| sum.time += more.time),
+        }
+    }
+    Ok((all, stages))
 }

@@ -20,14 +20,16 @@ pub struct Scene {
     /// The network looks only where something touches the gel, and `margin_mm` round it, in parts that
     /// make up at most `most_of_input` of its input; else at the whole.
     pub regions: bool,
-    /// Proposals with an objectness of at most `objectness` do not reach the network's last part.
+    /// Proposals whose objectness is at most `objectness` of the score that is asked for do not reach the
+    /// network's last part.
     pub proposals: bool,
     /// Gel round a contact that the network sees, in millimetres; from 0 to 60. What counts as contact reaches
     /// up to 2 mm past what touches.
     pub margin_mm: f32,
     /// Share of the network's input above which all of it is computed; from 0 to 1.
     pub most_of_input: f32,
-    /// The probability to be a snap that a proposal must be above; from 0 to 1.
+    /// Share of [`Config::score`](crate::Config::score) that a proposal's probability to be a snap must be
+    /// above; from 0 to 1.
     pub objectness: f32,
 }
 
@@ -39,7 +41,7 @@ impl Scene {
         proposals: false,
         margin_mm: 3.0,
         most_of_input: 0.8,
-        objectness: 0.02,
+        objectness: 0.04,
     };
     /// All that can be left out is.
     pub const SAVING: Self = Self { contact: true, regions: true, proposals: true, ..Self::FULL };
@@ -65,8 +67,8 @@ impl Scene {
             left.push(format!("{share:.2} of the frame: no contact within {margin} mm of it"));
         }
         if self.proposals {
-            let least = self.objectness;
-            left.push(format!("proposals: their objectness is at most {least}"));
+            let share = self.objectness;
+            left.push(format!("proposals: objectness of at most {share} of the asked-for score"));
         }
         left
     }
@@ -76,9 +78,9 @@ impl Scene {
         self.contact || self.regions
     }
 
-    /// What the objectness of a proposal must be above.
-    pub(super) fn least_objectness(&self) -> f32 {
-        if self.proposals { self.objectness } else { f32::NEG_INFINITY }
+    /// What the objectness of a proposal must be above where detections must be above `score`.
+    pub(super) fn least_objectness(&self, score: f32) -> f32 {
+        if self.proposals { self.objectness * score } else { f32::NEG_INFINITY }
     }
 
     /// # Errors
@@ -101,7 +103,8 @@ impl Scene {
 }
 
 impl Default for Scene {
+    /// What costs no snap and moves no box: `contact` and `proposals`.
     fn default() -> Self {
-        Self::FULL
+        Self { contact: true, proposals: true, ..Self::FULL }
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::detector::engines::Engines;
 use crate::detector::input::Input;
+use crate::detector::look::Sight;
 use crate::detector::{Detections, GpuDetector};
 use crate::error::Result;
 use crate::frame::Frame;
@@ -79,8 +80,8 @@ impl<'a> Stream<'a> {
             return Ok(kept);
         }
         let cells = look.cells.clone();
-        let found = self.detector.look_at(engines, input, Some(look), deadline);
-        let found = pollster::block_on(found)?;
+        let sight = Sight::new(input, Some(look), &self.detector.config.scene);
+        let found = pollster::block_on(self.detector.look_at(engines, sight, deadline))?;
         let view = input.view;
         let last = |cells| Last { view, cells, found: found.clone(), reused: 0 };
         self.last = cells.map(last);

@@ -26,7 +26,11 @@ impl Kernel for Resize {
             let narrow = |w: Vec<f64>| w.into_iter().map(|w| w as f32).collect();
             crop.filters(axis, count).into_iter().map(|(first, w)| (first, narrow(w))).collect()
         };
-        let [columns, rows] = [filters(0, self.op.width), filters(1, self.op.height)];
+        let [mut columns, rows] = [filters(0, self.op.width), filters(1, self.op.height)];
+        // A window of the resized part needs these columns alone.
+        let from = columns.iter().map(|(first, _)| *first).min().unwrap_or(0);
+        let to = columns.iter().map(|(first, w)| first + w.len()).max().unwrap_or(from);
+        columns.iter_mut().for_each(|(first, _)| *first -= from);
         let bytes: &[u8] = bytemuck::cast_slice(picture);
         // Levels are summed as differences from the mean's whole level, which are exact: what is
         // left of the mean is small, so little cancels.
@@ -37,13 +41,13 @@ impl Kernel for Resize {
         let rest: [f32; 3] =
             std::array::from_fn(|c| (shift[c].1 / f64::from(self.op.std[c])) as f32);
         outputs[0].par_chunks_mut(self.op.width * 3).zip(&rows).for_each_init(
-            || vec![0.0f32; crop.columns * RGBA],
+            || vec![0.0f32; (to - from) * RGBA],
             |line, (out, (first, weights))| {
                 vectorised(|| {
                     line.fill(0.0);
                     for (j, weight) in weights.iter().enumerate() {
-                        let start = ((crop.y + first + j) * crop.width + crop.x) * RGBA;
-                        let row = &bytes[start..][..crop.columns * RGBA];
+                        let start = ((crop.y + first + j) * crop.width + crop.x + from) * RGBA;
+                        let row = &bytes[start..][..(to - from) * RGBA];
                         for (sums, pixel) in line.chunks_exact_mut(RGBA).zip(row.chunks_exact(RGBA))
                         {
                             for c in 0..RGBA {

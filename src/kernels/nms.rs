@@ -76,6 +76,7 @@ impl Kernel for Planar {
         };
         let bindings = [
             ("boxes", boxes),
+            ("scores", scores),
             // Any readable buffer serves where there are no classes: it is not read.
             ("classes", *classes.unwrap_or(&order)),
             ("order", order),

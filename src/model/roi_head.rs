@@ -33,6 +33,17 @@ pub struct Thresholds {
     pub least_objectness: f32,
 }
 
+impl Thresholds {
+    /// Every detection above any score at all, as far as there is room; twins go.
+    pub const ALL: Self = Self {
+        score: 0.0,
+        iou: 0.5,
+        max_detections: 100,
+        class_mask: u32::MAX,
+        least_objectness: f32::NEG_INFINITY,
+    };
+}
+
 /// The detections' tensors, best first.
 #[derive(Clone, Debug)]
 pub(super) struct Head {

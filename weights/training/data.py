@@ -25,7 +25,7 @@ PAPER_MM_PER_PIXEL = 0.04
 # Times the network's scale, evenly on a logarithmic axis.
 JITTER = 1.25
 # Side of a step's views: one of these, or whole pictures in the rest of the steps.
-WINDOWS = (160, 192, 224, 256)
+WINDOWS = (128, 160, 192, 224, 256)
 WHOLE_SHARE = 0.25
 # Of a batch: each view brings as many regions, however small it is.
 MOST_VIEWS = 24

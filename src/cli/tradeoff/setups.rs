@@ -170,7 +170,7 @@ pub(in crate::cli) fn configured(
     config.precision = setup.precision;
     config.device = setup.device.parse::<Device>()?;
     config.choice = Choice { forced: setup.kernels.clone(), ..Choice::default() };
-    config.in_flight = config.in_flight.max(setup.batch.min(4));
+    config.batch = setup.batch;
     let gpu = open_gpu(&config.device)?;
     Ok((config, gpu.map(|gpu| Place::of(&gpu))))
 }

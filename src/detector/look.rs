@@ -1,0 +1,189 @@
+//! The network over pictures or their parts, those of a size together.
+
+use crate::detector::engines::{Engines, Kind};
+use crate::detector::input::{Answer, Input};
+use crate::detector::regions::{self, Window};
+use crate::detector::{Config, Detections, Scene, contact};
+use crate::error::{Error, Result};
+use crate::gpu::Deadline;
+use crate::graph::StageTime;
+use crate::precision::Precision;
+
+/// A picture, and which parts of it are to be looked at.
+pub(super) struct Sight<'a> {
+    input: &'a Input,
+    /// Whether something touches; `None` where nobody looked.
+    contact: Option<bool>,
+    windows: Vec<Window>,
+    /// Whether these are parts, and not all of it.
+    in_parts: bool,
+    /// Time that it took to look for contact.
+    stages: Vec<StageTime>,
+}
+
+impl<'a> Sight<'a> {
+    /// What `scene` leaves of a picture in which a look for contact gave `look`.
+    pub fn new(input: &'a Input, look: Option<contact::Look>, scene: &Scene) -> Self {
+        let whole = vec![input.whole()];
+        let Some(contact::Look { map, stages, .. }) = look else {
+            return Self { input, contact: None, windows: whole, in_parts: false, stages: vec![] };
+        };
+        let touched = !map.is_empty();
+        let parts = match touched && scene.regions {
+            true => regions::windows(&map, &input.geometry, scene),
+            false => None,
+        };
+        let in_parts = parts.is_some();
+        let windows = match touched || !scene.contact {
+            true => parts.unwrap_or(whole),
+            false => Vec::new(),
+        };
+        Self { input, contact: Some(touched), windows, in_parts, stages }
+    }
+
+    /// What was found in a picture whose windows gave `answers`.
+    fn detections(&self, answers: Vec<Seen>, precision: Precision, config: &Config) -> Detections {
+        let mut stages = self.stages.clone();
+        let (mut found, mut proposals) = (Vec::new(), 0);
+        for Seen { answer, times } in answers {
+            found.extend(answer.found);
+            proposals += answer.proposals;
+            for time in times {
+                match stages.iter_mut().find(|sum| sum.stage == time.stage) {
+                    Some(sum) => sum.time += time.time,
+                    None => stages.push(time),
+                }
+            }
+        }
+        let found = regions::merged(found, config.iou, config.max_detections);
+        let rects = || self.windows.iter().map(|window| self.input.rect(window)).collect();
+        Detections {
+            contact: self.contact,
+            regions: self.in_parts.then(rects),
+            proposals,
+            precision,
+            stages,
+            ..self.input.report(found)
+        }
+    }
+}
+
+/// What the network said of a window, and the time that it took.
+struct Seen {
+    answer: Answer,
+    times: Vec<StageTime>,
+}
+
+/// A window of a picture.
+#[derive(Clone, Copy)]
+struct Job<'a> {
+    input: &'a Input,
+    window: Window,
+    /// The window's place among those of its picture.
+    part: usize,
+}
+
+/// Looks at pictures; once more in f32 where f16 does not reach.
+///
+/// # Errors
+/// Of each picture, what its run returned, or [`Error::NotFinite`].
+pub(super) async fn look_at(
+    engines: &Engines,
+    config: &Config,
+    sights: &[Sight<'_>],
+    deadline: Deadline,
+) -> Vec<Result<Detections>> {
+    let precision = engines.precision();
+    let mut found = look_as(engines, config, precision, sights, deadline).await;
+    for (found, sight) in found.iter_mut().zip(sights) {
+        let overflowed = matches!(found, Err(Error::NotFinite { .. }));
+        if overflowed && precision == Precision::F16 {
+            let sight = std::slice::from_ref(sight);
+            let again = look_as(engines, config, Precision::F32, sight, deadline).await;
+            again.into_iter().for_each(|again| *found = again);
+        }
+    }
+    found
+}
+
+async fn look_as(
+    engines: &Engines,
+    config: &Config,
+    precision: Precision,
+    sights: &[Sight<'_>],
+    deadline: Deadline,
+) -> Vec<Result<Detections>> {
+    let mut jobs = Vec::new();
+    for Sight { input, windows, .. } in sights {
+        let windows = windows.iter().copied().enumerate();
+        jobs.extend(windows.map(|(part, window)| Job { input, window, part }));
+    }
+    let mut seen = run_all(engines, precision, &jobs, deadline).await.into_iter();
+    let mut found = Vec::new();
+    for sight in sights {
+        let answers: Vec<_> = seen.by_ref().take(sight.windows.len()).collect();
+        let answers: Result<Vec<Seen>> = answers.into_iter().collect();
+        found.push(answers.map(|answers| sight.detections(answers, precision, config)));
+    }
+    found
+}
+
+/// Runs the network over each window, those of a size together as far as they fill a batch.
+async fn run_all(
+    engines: &Engines,
+    precision: Precision,
+    jobs: &[Job<'_>],
+    deadline: Deadline,
+) -> Vec<Result<Seen>> {
+    let size = |at: &usize| [jobs[*at].window.height, jobs[*at].window.width];
+    let mut order: Vec<usize> = (0..jobs.len()).collect();
+    order.sort_by_key(size);
+    let mut seen: Vec<Option<Result<Seen>>> = jobs.iter().map(|_| None).collect();
+    let most = engines.batch();
+    for same in order.chunk_by(|a, b| size(a) == size(b)) {
+        for group in same.chunks(most).filter(|group| most > 1 && group.len() == most) {
+            let together: Vec<Job> = group.iter().map(|at| jobs[*at]).collect();
+            // What went wrong for all is told of each, which then runs alone.
+            if let Ok(all) = run(engines, precision, &together, deadline).await {
+                group.iter().zip(all).for_each(|(at, one)| seen[*at] = Some(one));
+            }
+        }
+    }
+    for at in 0..jobs.len() {
+        if seen[at].is_none() {
+            let alone = run(engines, precision, &jobs[at..=at], deadline).await;
+            seen[at] = alone.map_or_else(|e| Some(Err(e)), |one| one.into_iter().next());
+        }
+    }
+    seen.into_iter().flatten().collect()
+}
+
+/// Runs the network once over windows of one size.
+///
+/// # Errors
+/// What the run returns; of each window, [`Error::NotFinite`].
+async fn run(
+    engines: &Engines,
+    precision: Precision,
+    jobs: &[Job<'_>],
+    deadline: Deadline,
+) -> Result<Vec<Result<Seen>>> {
+    let Some(first) = jobs.first() else { return Ok(Vec::new()) };
+    let size = [first.window.height, first.window.width];
+    let engine = engines.engine(Kind { size, precision, batch: jobs.len() })?;
+    let network = &engine.network;
+    let crops: Vec<_> =
+        jobs.iter().map(|job| job.input.part(&job.window)).collect::<Result<_>>()?;
+    let inputs = jobs.iter().zip(&crops);
+    let inputs =
+        inputs.map(|(job, crop)| [(network.picture, &job.input.pixels), (network.crop, crop)]);
+    let inputs: Vec<_> = inputs.collect();
+    let pictures: Vec<_> = inputs.iter().map(|inputs| &inputs[..]).collect();
+    let (values, mut times) = engine.run_all(&pictures, deadline).await?;
+    times.iter_mut().for_each(|time| time.time /= jobs.len() as u32);
+    let seen = jobs.iter().zip(&values).map(|(job, values)| {
+        let answer = job.input.answer(network, values, &job.window, job.part)?;
+        Ok(Seen { answer, times: times.clone() })
+    });
+    Ok(seen.collect())
+}

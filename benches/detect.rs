@@ -1,9 +1,13 @@
-//! Whole pictures, on the adapter beside the CPU's f64 reference.
+//! Whole pictures with the large network, on the adapter and on the CPU, and on the adapter several one by one
+//! and given together.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use image::{DynamicImage, RgbImage};
 use smr_gpu::gpu::AdapterChoice;
-use smr_gpu::{Config, Device, GpuDetector};
+use smr_gpu::{Config, Device, Frame, GpuDetector, Scene};
+
+/// Pictures that are given together.
+const MANY: usize = 8;
 
 fn detect(criterion: &mut Criterion) {
     // Any picture costs the same but for the count of proposals.
@@ -15,8 +19,17 @@ fn detect(criterion: &mut Criterion) {
         let mut config =
             Config::new(concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors"));
         config.device = device;
+        // A ramp touches nothing.
+        config.scene = Scene::FULL;
         let detector = GpuDetector::new(config).expect("a detector");
         group.bench_function(name, |b| b.iter(|| detector.detect(&picture).expect("detections")));
+        if name == "adapter" {
+            let frames: Vec<Frame> = (0..MANY).map(|_| Frame::from(&picture)).collect();
+            let alone = || frames.iter().map(|f| detector.detect_frame(f)).count();
+            group.bench_function("one by one", |b| b.iter(alone));
+            let together = || detector.detect_many(frames.iter().cloned()).count();
+            group.bench_function("together", |b| b.iter(together));
+        }
     }
 }
 

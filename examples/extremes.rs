@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Parser;
 use extremes::{Outcome, changed, extremes, outcome, pixels};
-use smr_gpu::{Config, Detections, Device, GpuDetector};
+use smr_gpu::{Config, Detections, Device, GpuDetector, Scene};
 
 #[derive(Parser)]
 struct Args {
@@ -48,6 +48,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             let mut config =
                 Config::from_bytes(extreme.name, bytes.clone()).score(0.5).device(device.clone());
             config.input_size = extreme.size.or(args.size);
+            // Nothing touches a black picture.
+            config.scene = Scene::FULL;
             Ok(outcome(&GpuDetector::new(config)?, &pixels, size))
         };
         let outcomes: Vec<Outcome> = args.device.iter().map(look).collect::<Result<_, _>>()?;

@@ -1,4 +1,4 @@
-//! Looks at one picture as often as a line on stdin asks for it, so that other programs can be timed in
+//! Looks at all of one picture as often as a line on stdin asks for it, so that other programs can be timed in
 //! turn with this one: `benches/peers` does.
 //!
 //! ```sh
@@ -17,7 +17,7 @@ use std::time::Instant;
 
 use safetensors::tensor::{Dtype, TensorView};
 use smr_gpu::tensor::Value;
-use smr_gpu::{Config, Device, Frame, GpuDetector, picture};
+use smr_gpu::{Config, Device, Frame, GpuDetector, Scene, picture};
 
 /// What the fourth argument's file holds, of what the network has.
 const TENSORS: [&str; 7] = [
@@ -36,7 +36,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Err("expected DEVICE WEIGHTS PICTURE [TENSORS.safetensors]".into());
     };
     let device: Device = device.to_str().ok_or("expected a device")?.parse()?;
-    let config = Config::new(weights).device(device);
+    let config = Config::new(weights).device(device).scene(Scene::FULL);
     let picture = picture::read(file)?;
     let frame = Frame::from(&picture);
     if let [file] = tensors {

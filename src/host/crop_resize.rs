@@ -37,6 +37,7 @@ impl Kernel for Resize {
         let shift = self.op.shift();
         let level: [f32; RGBA] =
             std::array::from_fn(|c| shift.get(c).map_or(0.0, |(level, _)| f32::from(*level)));
+        let levels = level.repeat(to - from);
         let scale = self.op.std.map(|s| (1.0 / (255.0 * f64::from(s))) as f32);
         let rest: [f32; 3] =
             std::array::from_fn(|c| (shift[c].1 / f64::from(self.op.std[c])) as f32);
@@ -48,11 +49,9 @@ impl Kernel for Resize {
                     for (j, weight) in weights.iter().enumerate() {
                         let start = ((crop.y + first + j) * crop.width + crop.x + from) * RGBA;
                         let row = &bytes[start..][..(to - from) * RGBA];
-                        for (sums, pixel) in line.chunks_exact_mut(RGBA).zip(row.chunks_exact(RGBA))
-                        {
-                            for c in 0..RGBA {
-                                sums[c] += weight * (f32::from(pixel[c]) - level[c]);
-                            }
+                        // Flat, so that it fills vectors.
+                        for ((sum, byte), level) in line.iter_mut().zip(row).zip(&levels) {
+                            *sum += weight * (f32::from(*byte) - level);
                         }
                     }
                     for (out, (first, weights)) in out.chunks_exact_mut(3).zip(&columns) {

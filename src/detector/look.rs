@@ -143,7 +143,7 @@ async fn run_all(
     for same in order.chunk_by(|a, b| size(a) == size(b)) {
         for group in same.chunks(most).filter(|group| most > 1 && group.len() == most) {
             let together: Vec<Job> = group.iter().map(|at| jobs[*at]).collect();
-            // What went wrong for all is told of each, which then runs alone.
+            // What goes wrong for all is no picture's own fault: each then runs alone.
             if let Ok(all) = run(engines, precision, &together, deadline).await {
                 group.iter().zip(all).for_each(|(at, one)| seen[*at] = Some(one));
             }

@@ -107,7 +107,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         way("nothing left out", own, Scene::FULL)?,
         way("`contact`", own, Scene { contact: true, ..Scene::FULL })?,
         way("`proposals`", own, Scene { proposals: true, ..Scene::FULL })?,
-        way("both, the default", own, Scene::default())?,
+        way("both", own, Scene { contact: true, proposals: true, ..Scene::FULL })?,
     ];
     for margin_mm in &args.margin {
         let [parts, all] = ["`regions`", "all three"].map(|name| format!("{name}, {margin_mm} mm"));

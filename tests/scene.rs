@@ -141,7 +141,8 @@ fn frames_given_together_find_what_each_finds_alone() {
     let two = gel(3, 1.0, |x, y| disc(200, 200)(x, y) + disc(800, 800)(x, y));
     let bare = gel(1, 1.0, |_, _| 0.0);
     let frames = [mixed.clone(), bare, short, stud, two.clone(), oblong, mixed, two.clone(), two];
-    for scene in [Scene::FULL, Scene::default(), Scene::SAVING] {
+    let some = Scene { contact: true, proposals: true, ..Scene::FULL };
+    for scene in [Scene::FULL, some, Scene::SAVING] {
         let config = config(Device::Gpu(AdapterChoice::Auto), scene).input_size(160);
         let detector = GpuDetector::new(config.score(0.01).batch(2)).expect("a detector");
         let together: Vec<_> = detector.detect_many(frames.iter().cloned()).collect();

@@ -12,8 +12,8 @@
 //! overlap with the labels, where a miss counts 0, the centre error and the shift of the centres against the
 //! whole network's, both medians, the shift's 95th percentile too; then shares of the pictures without
 //! contact, and of those of which parts were looked at. A second table has the time of each way by what
-//! pictures show: each folder, those with one snap or several, and those with one snap of which parts were looked at; a
-//! third the stages of the last.
+//! pictures show: each folder, those with one snap or several, and those with one snap of which parts were
+//! looked at; a third the stages of the last.
 
 mod labelled;
 

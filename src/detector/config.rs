@@ -17,6 +17,7 @@ use crate::sensor::Sensor;
 #[cfg(doc)]
 use crate::detector::{Detections, GpuDetector};
 
+/// Most detections a picture may have.
 const MAX_DETECTIONS: usize = Thresholds::ALL.max_detections;
 
 /// What runs the network.

@@ -59,7 +59,7 @@ impl Engine {
         self.runner.run(&self.network.graph, &self.keep, inputs, deadline).await
     }
 
-    /// [`Engine::run`] of as many pictures as it was made for; the times are those of all together.
+    /// [`Engine::run`] of as many pictures as it was made for; the times add up to those of all.
     pub async fn run_all(
         &self,
         pictures: &[&Inputs<'_>],

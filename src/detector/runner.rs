@@ -96,8 +96,8 @@ impl Runner {
         Ok((values.pop().unwrap_or_default(), times))
     }
 
-    /// [`Runner::run`] of several pictures, on a GPU as many as it was made for; the times are those of all
-    /// together.
+    /// [`Runner::run`] of several pictures, on a GPU as many as it was made for; the times add up to those of
+    /// all.
     pub async fn run_all(
         &self,
         graph: &Graph,
@@ -125,14 +125,11 @@ fn one_by_one(
     pictures: &[&Inputs<'_>],
     mut run: impl FnMut(&Inputs<'_>) -> Result<(Values, Vec<StageTime>)>,
 ) -> Result<(Vec<Values>, Vec<StageTime>)> {
-    let (mut all, mut stages) = (Vec::new(), Vec::<StageTime>::new());
+    let (mut all, mut stages) = (Vec::new(), Vec::new());
     for inputs in pictures {
         let (values, times) = run(inputs)?;
         all.push(values);
-        match stages.is_empty() {
-            true => stages = times,
-            false => stages.iter_mut().zip(times).for_each(|(sum, more)| sum.time += more.time),
-        }
+        stages.extend(times);
     }
     Ok((all, stages))
 }

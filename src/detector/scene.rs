@@ -103,7 +103,7 @@ impl Scene {
 }
 
 impl Default for Scene {
-    /// Each saving may cost a snap in a thousand: nothing is left out unasked.
+    /// Each saving may cost a snap: nothing is left out unasked.
     fn default() -> Self {
         Self::FULL
     }

@@ -30,12 +30,17 @@ var<workgroup> hidden: array<f32, CAPACITY>;
 var<workgroup> logits: array<f32, WORKGROUP>;
 
 @compute @workgroup_size(WORKGROUP)
-fn main(@builtin(local_invocation_index) local: u32) {
-    for (var base = 0u; base < params.hidden; base += ROWS) {
+fn main(
+    @builtin(local_invocation_index) local: u32,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+) {
+    // 0, in bounds that are no uniform alone: see channel_gate.wgsl.
+    let none = select(0u, 1u, workgroups.x == 0u);
+    for (var base = 0u; base < params.hidden + none; base += ROWS) {
         let row = base + local % ROWS;
         var dot = 0.0;
         if row < params.hidden {
-            for (var i = local / ROWS; i < params.inputs; i += LANES) {
+            for (var i = local / ROWS; i < params.inputs + none; i += LANES) {
                 dot = fma(fc1_weight[row * params.inputs + i], pooled[i], dot);
             }
         }
@@ -48,7 +53,7 @@ fn main(@builtin(local_invocation_index) local: u32) {
     // At most as many scales as invocations.
     if local < params.scales {
         var logit = fc2_bias[local];
-        for (var r = 0u; r < params.hidden; r++) {
+        for (var r = 0u; r < params.hidden + none; r++) {
             logit = fma(fc2_weight[local * params.hidden + r], hidden[r], logit);
         }
         logits[local] = logit;
@@ -56,11 +61,11 @@ fn main(@builtin(local_invocation_index) local: u32) {
     workgroupBarrier();
     if local < params.scales {
         var largest = logits[0];
-        for (var k = 1u; k < params.scales; k++) {
+        for (var k = 1u; k < params.scales + none; k++) {
             largest = max(largest, logits[k]);
         }
         var sum = 0.0;
-        for (var k = 0u; k < params.scales; k++) {
+        for (var k = 0u; k < params.scales + none; k++) {
             sum += exp(logits[k] - largest);
         }
         output[local] = exp(logits[local] - largest) / sum;

@@ -8,20 +8,13 @@ struct Four {
 }
 
 // Sums with the products of `w`: column i of the sums is of its i-th member. Column k of `x` is
-// multiplied by its members' k-th values. With THREE, the fourth are zero.
+// multiplied by its members' k-th values.
 fn add_products(sums: mat4x4<f32>, w: Four, x: mat4x4<f32>) -> mat4x4<f32> {
     return mat4x4<f32>(
-#if THREE
-        sums[0] + w.a.x * x[0] + w.a.y * x[1] + w.a.z * x[2],
-        sums[1] + w.b.x * x[0] + w.b.y * x[1] + w.b.z * x[2],
-        sums[2] + w.c.x * x[0] + w.c.y * x[1] + w.c.z * x[2],
-        sums[3] + w.d.x * x[0] + w.d.y * x[1] + w.d.z * x[2],
-#else
         sums[0] + w.a.x * x[0] + w.a.y * x[1] + w.a.z * x[2] + w.a.w * x[3],
         sums[1] + w.b.x * x[0] + w.b.y * x[1] + w.b.z * x[2] + w.b.w * x[3],
         sums[2] + w.c.x * x[0] + w.c.y * x[1] + w.c.z * x[2] + w.c.w * x[3],
         sums[3] + w.d.x * x[0] + w.d.y * x[1] + w.d.z * x[2] + w.d.w * x[3],
-#endif
     );
 }
 

@@ -25,7 +25,6 @@ shader_params! {
         kernel_height: u32,
         kernel_width: u32,
         stride: u32,
-        step: u32,
         padding: u32,
         dilation: u32,
         strips: u32,
@@ -37,6 +36,7 @@ shader_params! {
         group_quads: u32,
         has_residual: u32,
         relu: u32,
+        block_quads: u32,
         pad0: u32,
     }
 }
@@ -52,78 +52,28 @@ const ENOUGH: u32 = 256;
 /// Most parts of a sum.
 const MOST_SPLITS: u32 = 8;
 
-/// Kernels that share inputs between the taps of a row: rows, columns, stride, dilation.
-const SHARED: [[usize; 4]; 4] = [[3, 3, 1, 1], [3, 3, 2, 1], [3, 3, 1, 2], [7, 7, 2, 1]];
-
-/// How the shader computes a convolution.
+/// How the shader walks through a kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Form {
-    /// Rows of the kernel; 0 where they may be any number.
-    rows: usize,
-    /// Taps of a row that are added together; quads, for kernels of one pixel.
+    /// Taps of a row that are added together and share the inputs that they have in common: all three of a
+    /// kernel of 3 × 3 without stride and dilation, else 1.
     taps: usize,
-    /// Columns between the inputs of neighbouring outputs, as they are loaded.
-    spread: usize,
-    /// Columns between taps.
-    dilation: usize,
     /// Quads of input channels that are summed for themselves.
     quads: usize,
-    /// Whether the fourth channel of a quad is never used.
-    three: bool,
 }
 
 impl Form {
-    /// A pixel at a time, for kernels of any size.
-    const ANY: Self = Self { rows: 0, taps: 1, spread: 1, dilation: 1, quads: 1, three: false };
-    /// For kernels of one pixel.
-    const POINT: Self = Self { rows: 1, taps: 4, quads: 8, ..Self::ANY };
-
-    fn shared([rows, taps, spread, dilation]: [usize; 4]) -> Self {
-        let (quads, three) = if rows == 3 { (4, false) } else { (1, true) };
-        Self { rows, taps, spread, dilation, quads, three }
-    }
-
-    fn all() -> impl Iterator<Item = Self> {
-        SHARED.into_iter().map(Self::shared).chain([Self::POINT, Self::ANY])
-    }
-
     fn of(op: &Conv2d, in_c: usize, kh: usize, kw: usize) -> Self {
-        match [kh, kw, op.stride, op.dilation] {
-            [1, 1, ..] => Self::POINT,
-            own if SHARED.contains(&own) && (kh == 3 || in_c <= 3) => Self::shared(own),
-            _ => Self::ANY,
-        }
+        let taps = if [kh, kw, op.stride, op.dilation] == [3, 3, 1, 1] { 3 } else { 1 };
+        let most = if kh * kw == 1 { 8 } else { 4 };
+        Self { taps, quads: in_c.div_ceil(4).min(most) }
     }
 
     /// `weights` says how those are stored; for the maps see [`Recording::dispatch_maps`].
-    fn variant(&self, tile: &Tile, weights: Precision) -> Variant {
-        let named = [
-            ("WORKGROUP", tile.workgroup as usize),
-            ("KERNEL", self.rows),
-            ("TAPS", self.taps),
-            ("SPREAD", self.spread),
-            // The inputs of a quad lie behind those of another.
-            ("DILATION", if self.is_point() { tile.pixels } else { self.dilation }),
-            ("QUADS", self.quads),
-        ];
-        let constants = named.map(|(name, value)| (name, value as u32));
-        tile.lanes
-            .variant(Variant::of(&constants))
-            .with("TAPS_3", self.taps == 3)
-            .with("TAPS_7", self.taps == 7)
-            .with("ANY", self.rows == 0)
-            .with("POINT", self.is_point())
-            .with("THREE", self.three)
-            .with("HALF_WEIGHT", weights.is_half())
-    }
-
-    fn is_point(&self) -> bool {
-        self.rows == 1
-    }
-
-    /// Whether taps share the inputs between them.
-    fn shares(&self) -> bool {
-        self.rows > 1
+    fn variant(taps: usize, tile: &Tile, weights: Precision) -> Variant {
+        let variant = Variant::of(&[("WORKGROUP", tile.workgroup)]);
+        let variant = tile.lanes.variant(variant).with("THREE_TAPS", taps == 3);
+        variant.with("HALF_WEIGHT", weights.is_half())
     }
 
     fn blocks(&self, in_c: usize) -> usize {
@@ -277,7 +227,6 @@ impl Plan {
             kernel_height: sizes.kh as u32,
             kernel_width: sizes.kw as u32,
             stride: op.stride as u32,
-            step: if form.shares() { 1 } else { op.stride as u32 },
             padding: op.padding as u32,
             dilation: op.dilation as u32,
             strips: self.strips,
@@ -289,6 +238,7 @@ impl Plan {
             group_quads: input.quads / groups,
             has_residual: u32::from(op.residual && whole),
             relu: u32::from(op.relu && whole),
+            block_quads: form.quads as u32,
             pad0: 0,
         };
         let bindings = [
@@ -301,7 +251,8 @@ impl Plan {
         let bindings = bound.weight.scaled(&bindings);
         let grid = Grid::Workgroups([across, tiles, recording.batch() * self.splits]);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
-        let variant = form.variant(&tile, recording.info(bound.weight.texels).precision);
+        let precision = recording.info(bound.weight.texels).precision;
+        let variant = Form::variant(form.taps, &tile, precision);
         recording.dispatch_maps(dispatch.variant(variant), bound.input, bound.output);
         Ok(())
     }
@@ -367,8 +318,8 @@ impl Kernel for Direct {
         use Precision::{F16, F32};
         // Weights, what is read, and what is written; the last for the parts of a sum.
         let stored = [(F32, F32, F32), (F16, F16, F16), (F16, F16, F32), (F16, F32, F32)];
-        let direct = Form::all().flat_map(|form| {
-            stored.map(|(w, read, written)| texels(form.variant(&tile, w), read, written))
+        let direct = [3, 1].into_iter().flat_map(|taps| {
+            stored.map(|(w, read, written)| texels(Form::variant(taps, &tile, w), read, written))
         });
         let join = self.is_split().then(|| all_texels(&Variant::default()));
         let join = join.into_iter().flatten().map(|variant| (&join::SHADER, variant));
@@ -483,7 +434,7 @@ impl Products {
 
     /// The order of its sums over channels.
     pub fn order(in_c: usize) -> SumOrder {
-        Form::POINT.order(in_c, 1, 1)
+        Form::of(&Conv2d::default(), in_c, 1, 1).order(in_c, 1, 1)
     }
 
     /// Appends the products of `input` `[groups · I, 1, columns]` and what `transform` makes of `weight`,
@@ -523,7 +474,8 @@ mod tests {
             let (o, i, tap) = (at / 12, at / 2 % 6, at % 2);
             (100 * o + 10 * i + tap + 1) as f32
         });
-        let packed = pack_weight(&weight, &Form::ANY, &tile(4), [8, 4]);
+        let form = Form { taps: 1, quads: 1 };
+        let packed = pack_weight(&weight, &form, &tile(4), [8, 4]);
         assert_eq!(packed.dims(), [4, 8, 4]);
         let texel = |at: usize| packed.data()[at * 4..][..4].to_vec();
         // Tile 0, quad 0: the outputs of the first tap, then those of the second.
@@ -540,24 +492,22 @@ mod tests {
     #[test]
     fn blocks_are_padded_with_zeros() {
         let weight = Tensor::from_fn([1, 4, 1, 1], |_| 1.0);
-        let packed = pack_weight(&weight, &Form::POINT, &tile(4), [32, 1]);
+        let form = Form { taps: 1, quads: 8 };
+        let packed = pack_weight(&weight, &form, &tile(4), [32, 1]);
         let ones: Vec<usize> = (0..128).filter(|at| packed.data()[*at] != 0.0).collect();
         assert_eq!(ones, [0, 1, 2, 3]);
     }
 
     #[test]
-    fn the_networks_kernels_share_their_inputs() {
+    fn a_kernel_without_stride_and_dilation_shares_its_inputs() {
         let of = |kernel, stride, dilation, in_c| {
             Form::of(&Conv2d { stride, dilation, ..Conv2d::default() }, in_c, kernel, kernel)
         };
-        for (kernel, stride, dilation, in_c) in
-            [(7, 2, 1, 3), (3, 1, 1, 64), (3, 2, 1, 64), (3, 1, 2, 256)]
-        {
-            assert_eq!(of(kernel, stride, dilation, in_c).taps, kernel);
-        }
-        assert_eq!(of(7, 2, 1, 4), Form::ANY, "the form for three channels drops the fourth");
-        assert_eq!(of(1, 2, 1, 64), Form::POINT);
-        assert_eq!(of(5, 1, 1, 64), Form::ANY);
+        assert_eq!(of(3, 1, 1, 64), Form { taps: 3, quads: 4 });
+        assert_eq!(of(3, 2, 1, 64), Form { taps: 1, quads: 4 });
+        assert_eq!(of(3, 1, 2, 256), Form { taps: 1, quads: 4 });
+        assert_eq!(of(7, 2, 1, 3), Form { taps: 1, quads: 1 });
+        assert_eq!(of(1, 2, 1, 64), Form { taps: 1, quads: 8 });
     }
 
     /// Cut into parts, a sum is no deeper than whole.

@@ -9,57 +9,11 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use crate::cpu::Crop;
 use crate::error::{Error, Result};
 use crate::model::MAX_PIXELS;
-
-/// How pixels lie in memory, 8 bits a sample.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum PixelFormat {
-    /// Red, green, blue.
-    Rgb8,
-    /// Blue, green, red, as OpenCV has it.
-    Bgr8,
-    /// Red, green, blue, and alpha, which is ignored.
-    Rgba8,
-    /// Blue, green, red, and alpha, which is ignored.
-    Bgra8,
-    /// Grey, taken as all three colours.
-    Gray8,
-    /// One colour a pixel, as the sensor behind a Bayer filter has it. The first two letters are the
-    /// first two pixels of the frame's first row, the others those of its second row. A pixel's other
-    /// colours are interpolated bilinearly: the mean of the nearest samples of that colour, which lie
-    /// beside or diagonally to it; at the frame's edge, of those that there are.
-    BayerRggb8,
-    /// As [`PixelFormat::BayerRggb8`], in another order.
-    BayerBggr8,
-    /// As [`PixelFormat::BayerRggb8`], in another order.
-    BayerGrbg8,
-    /// As [`PixelFormat::BayerRggb8`], in another order.
-    BayerGbrg8,
-}
-
-impl PixelFormat {
-    /// Bytes of a pixel.
-    pub fn bytes_per_pixel(self) -> usize {
-        match self {
-            Self::Rgb8 | Self::Bgr8 => 3,
-            Self::Rgba8 | Self::Bgra8 => 4,
-            _ => 1,
-        }
-    }
-
-    /// The colour (0 red, 1 green, 2 blue) of each pixel of the first two rows' first two columns.
-    fn mosaic(self) -> Option<[[usize; 2]; 2]> {
-        match self {
-            Self::BayerRggb8 => Some([[0, 1], [1, 2]]),
-            Self::BayerBggr8 => Some([[2, 1], [1, 0]]),
-            Self::BayerGrbg8 => Some([[1, 0], [2, 1]]),
-            Self::BayerGbrg8 => Some([[1, 2], [0, 1]]),
-            _ => None,
-        }
-    }
-}
+use crate::pixel_format::PixelFormat;
+use crate::tensor::Tensor;
 
 /// A part of a picture, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -204,71 +158,39 @@ impl<'a> Frame<'a> {
         Ok(())
     }
 
-    /// The pixels of a part of a checked frame, row-major: red in the low byte, then green, blue and 255.
+    /// The bytes of a part of a checked frame, four a word, and the crop that shows all of it in its own
+    /// size. A Bayer pattern becomes RGB here: what a shader does for it alone, it does for all on a software
+    /// adapter.
     ///
     /// # Errors
     /// [`Error::Capacity`] for more than [`MAX_PIXELS`].
-    pub(crate) fn pixels(&self, part: Rect) -> Result<Vec<u32>> {
-        let Rect { x, y, width, height } = part;
-        let needed = u64::from(width) * u64::from(height);
+    pub(crate) fn bytes(&self, part: Rect) -> Result<(Tensor<u32>, Crop)> {
+        let needed = u64::from(part.width) * u64::from(part.height);
         if needed > MAX_PIXELS as u64 {
-            let what = format!("pixels of {width} × {height}");
+            let what = format!("pixels of {} × {}", part.width, part.height);
             return Err(Error::Capacity { what, needed, available: MAX_PIXELS as u64 });
         }
-        Ok(self.pack([x, y, width, height].map(|n| n as usize)))
-    }
-
-    fn pack(&self, [x, y, columns, rows]: [usize; 4]) -> Vec<u32> {
-        let word = |r: u8, g: u8, b: u8| u32::from_le_bytes([r, g, b, 255]);
-        let each = self.format.bytes_per_pixel();
-        let mut pixels = Vec::with_capacity(columns * rows);
-        for y in y..y + rows {
-            let row = &self.data[y * self.stride + x * each..][..columns * each];
-            match self.format {
-                PixelFormat::Rgb8 => {
-                    pixels.extend(row.as_chunks().0.iter().map(|&[r, g, b]| word(r, g, b)));
+        let [left, top, width, height] =
+            [part.x, part.y, part.width, part.height].map(|n| n as usize);
+        let format = if self.format.is_mosaic() { PixelFormat::Rgb8 } else { self.format };
+        let row = width * format.bytes_per_pixel();
+        let mut words = vec![0u32; (row * height).div_ceil(4)];
+        let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut words);
+        for (y, to) in (top..top + height).zip(bytes.chunks_exact_mut(row)) {
+            if self.format.is_mosaic() {
+                let size = [self.width, self.height].map(|n| n as usize);
+                for (x, to) in (left..).zip(to.as_chunks_mut::<3>().0) {
+                    *to = self.format.interpolated(&self.data, self.stride, size, [x, y]);
                 }
-                PixelFormat::Bgr8 => {
-                    pixels.extend(row.as_chunks().0.iter().map(|&[b, g, r]| word(r, g, b)));
-                }
-                PixelFormat::Rgba8 => {
-                    pixels.extend(row.as_chunks().0.iter().map(|&[r, g, b, _]| word(r, g, b)));
-                }
-                PixelFormat::Bgra8 => {
-                    pixels.extend(row.as_chunks().0.iter().map(|&[b, g, r, _]| word(r, g, b)));
-                }
-                PixelFormat::Gray8 => pixels.extend(row.iter().map(|&v| word(v, v, v))),
-                PixelFormat::BayerRggb8
-                | PixelFormat::BayerBggr8
-                | PixelFormat::BayerGrbg8
-                | PixelFormat::BayerGbrg8 => {
-                    pixels.extend((x..x + columns).map(|x| {
-                        let [r, g, b] = self.interpolated(x, y);
-                        word(r, g, b)
-                    }));
-                }
+            } else {
+                let first = y * self.stride + left * format.bytes_per_pixel();
+                to.copy_from_slice(&self.data[first..][..row]);
             }
         }
-        pixels
-    }
-
-    /// The colours of a pixel behind a Bayer filter.
-    fn interpolated(&self, x: usize, y: usize) -> [u8; 3] {
-        let mosaic = self.format.mosaic().unwrap_or_default();
-        let (columns, rows) = (self.width as usize, self.height as usize);
-        let (mut sums, mut counts) = ([0u32; 3], [0u32; 3]);
-        for near_y in y.saturating_sub(1)..(y + 2).min(rows) {
-            for near_x in x.saturating_sub(1)..(x + 2).min(columns) {
-                let colour = mosaic[near_y % 2][near_x % 2];
-                sums[colour] += u32::from(self.data[near_y * self.stride + near_x]);
-                counts[colour] += 1;
-            }
-        }
-        let own = mosaic[y % 2][x % 2];
-        (sums[own], counts[own]) = (u32::from(self.data[y * self.stride + x]), 1);
-        // A frame of a single row or column lacks a colour.
-        let mean = |c: usize| (sums[c] + counts[c] / 2).checked_div(counts[c]).unwrap_or(0);
-        [0, 1, 2].map(|c| mean(c) as u8)
+        let (columns, rows) = (width, height);
+        let (resized, window) = ([columns, rows], [0; 2]);
+        let crop = Crop { width, height, x: 0, y: 0, columns, rows, resized, window, format };
+        Ok((Tensor::new([words.len()], words)?, crop))
     }
 }
 
@@ -304,20 +226,28 @@ impl<'a> From<&'a image::DynamicImage> for Frame<'a> {
 mod tests {
     use super::*;
 
-    /// The largest square of the frame or of its crop, and its pixels.
-    fn square(frame: &Frame) -> Result<(Rect, Vec<u32>)> {
+    /// The largest square of the frame or of its crop, its bytes and where they show it.
+    fn square(frame: &Frame) -> Result<(Rect, Tensor<u32>, Crop)> {
         frame.check()?;
         let all = Rect { x: 0, y: 0, width: frame.width, height: frame.height };
         let part = frame.crop.unwrap_or(all).central(1.0);
-        Ok((part, frame.pixels(part)?))
+        let (bytes, crop) = frame.bytes(part)?;
+        Ok((part, bytes, crop))
     }
 
     /// The (r, g, b) of what the network sees.
     fn seen(frame: &Frame) -> Vec<[u8; 3]> {
-        let (part, pixels) = square(frame).expect("a sound frame");
-        assert_eq!(pixels.len(), (part.width * part.height) as usize);
-        let bytes = pixels.iter().map(|p| p.to_le_bytes());
-        bytes.inspect(|p| assert_eq!(p[3], 255)).map(|[r, g, b, _]| [r, g, b]).collect()
+        let (part, words, crop) = square(frame).expect("a sound frame");
+        let size = [part.width, part.height].map(|n| n as usize);
+        assert_eq!(([crop.width, crop.height], [crop.columns, crop.rows]), (size, size));
+        crop.to_tensor(words.data().len()).expect("all of it is there");
+        let bytes: Vec<u8> = words.data().iter().flat_map(|word| word.to_le_bytes()).collect();
+        let mut converted = vec![[0; 3]; crop.columns];
+        (0..crop.rows)
+            .flat_map(|y| {
+                crop.rgb(&bytes, 0..crop.columns, y, &mut converted).as_chunks().0.to_vec()
+            })
+            .collect()
     }
 
     fn refusal(frame: &Frame) -> String {

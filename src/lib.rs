@@ -47,7 +47,7 @@
 //! | [`host`] | the graph in f32 on this machine's CPU, for machines without an adapter |
 //! | [`model`] | SMR-Net's stages, its configuration and its weights |
 //! | [`comparison`] | the whole network on a device, by operation and by outcome, against the reference |
-//! | [`frame`] | pictures in memory, as cameras give them |
+//! | [`frame`] | pictures in memory, as cameras give them; what their bytes mean says [`PixelFormat`] |
 //! | [`sensor`] | what a sensor's pictures show: how much gel, and where |
 //! | [`detector`] | [`GpuDetector`] |
 //! | [`picture`] | pictures from files that nobody vouches for |
@@ -93,6 +93,7 @@ pub mod model;
 pub mod ops;
 #[cfg(feature = "picture")]
 pub mod picture;
+mod pixel_format;
 pub mod precision;
 pub mod profile;
 pub mod sensor;
@@ -109,10 +110,11 @@ pub use detector::{
     Comparison, Config, Detection, Detections, Device, GpuDetector, Scene, Stream, WeightSource,
 };
 pub use error::{Error, Result};
-pub use frame::{Frame, PixelFormat, Rect};
+pub use frame::{Frame, Rect};
 /// The crate whose pictures [`GpuDetector::detect`] takes.
 #[cfg(feature = "image")]
 pub use image;
+pub use pixel_format::PixelFormat;
 pub use precision::Precision;
 pub use sensor::Sensor;
 

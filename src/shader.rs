@@ -61,6 +61,7 @@ impl std::fmt::Display for Variant {
 /// Files under `wgsl/shared/`, which a shader takes in with a line `// include: NAME`.
 const SHARED: &[(&str, &str)] = &[
     ("index", include_str!("../wgsl/shared/index.wgsl")),
+    ("pixels", include_str!("../wgsl/shared/pixels.wgsl")),
     ("quads", include_str!("../wgsl/shared/quads.wgsl")),
     ("texels", include_str!("../wgsl/shared/texels.wgsl")),
     ("products", include_str!("../wgsl/shared/products.wgsl")),

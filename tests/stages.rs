@@ -241,8 +241,9 @@ fn bounds_checks_change_no_bit() {
     let network = Network::new(weights, [64; 2], thresholds).expect("a network");
     let pixel = |i| (i as u32).wrapping_mul(2_654_435_761);
     let picture = Value::from(Tensor::from_fn([80 * 70], pixel));
-    let crop =
-        Tensor::new([10], vec![80, 70, 5, 0, 70, 70, 64, 64, 0, 0]).expect("ten words").into();
+    let crop = Tensor::new([11], vec![80, 70, 5, 0, 70, 70, 64, 64, 0, 0, 2])
+        .expect("eleven words")
+        .into();
     let inputs = [(network.picture, &picture), (network.crop, &crop)];
     let keep = network.graph.computed();
     let run = |checked| {
@@ -283,8 +284,9 @@ fn every_variant_matches_its_reference_and_pytorch() {
         let graph = &network.graph;
         let pixel = |i| (i as u32).wrapping_mul(2_654_435_761);
         let picture = Value::from(Tensor::from_fn([80 * 70], pixel));
-        let crop =
-            Tensor::new([10], vec![80, 70, 5, 0, 70, 70, 64, 64, 0, 0]).expect("ten words").into();
+        let crop = Tensor::new([11], vec![80, 70, 5, 0, 70, 70, 64, 64, 0, 0, 2])
+            .expect("eleven words")
+            .into();
         let inputs = [(network.picture, &picture), (network.crop, &crop)];
         let keep = graph.computed();
         let names: BTreeSet<_> = keep.iter().map(|id| graph.name(*id)).collect();

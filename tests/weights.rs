@@ -223,8 +223,9 @@ fn a_file_of_every_variant_loads_and_runs() {
         let graph = &network.graph;
         let picture = Tensor::from_fn([40 * 40], |i| (i as u32).wrapping_mul(2_654_435_761));
         let picture = Value::from(picture);
-        let crop =
-            Tensor::new([10], vec![40, 40, 0, 0, 40, 40, 32, 32, 0, 0]).expect("ten words").into();
+        let crop = Tensor::new([11], vec![40, 40, 0, 0, 40, 40, 32, 32, 0, 0, 2])
+            .expect("eleven words")
+            .into();
         let inputs = [(network.picture, &picture), (network.crop, &crop)];
         let keep = graph.computed();
         // Nothing is computed that the variant does not use.

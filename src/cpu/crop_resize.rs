@@ -1,7 +1,10 @@
 //! Cropping, resizing and normalising a picture.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
+use crate::pixel_format::PixelFormat;
 use crate::tensor::Tensor;
 
 /// A part of a picture, what it is resized to, and which window of that is wanted. All in pixels.
@@ -24,15 +27,42 @@ pub struct Crop {
     /// Column and row of the resized part at which the output begins. Past its right and lower edge
     /// the output repeats them.
     pub window: [usize; 2],
+    /// What the picture's bytes mean; no Bayer pattern.
+    pub format: PixelFormat,
 }
 
 impl Crop {
-    /// The largest square in the middle of a picture, resized to `size` × `size`; up and left by half a
+    /// The largest square in the middle of a picture in RGBA, resized to `size` × `size`; up and left by half a
     /// pixel where the middle is between two.
     pub fn central(width: usize, height: usize, size: usize) -> Self {
         let side = width.min(height);
         let (x, y) = ((width - side) / 2, (height - side) / 2);
-        Self { width, height, x, y, columns: side, rows: side, resized: [size; 2], window: [0; 2] }
+        Self {
+            width,
+            height,
+            x,
+            y,
+            columns: side,
+            rows: side,
+            resized: [size; 2],
+            window: [0; 2],
+            format: PixelFormat::Rgba8,
+        }
+    }
+
+    /// Red, green and blue of the pixels `columns` of the part's row `row`: those of `bytes`, the picture's, or
+    /// as many pixels of `converted`.
+    #[inline]
+    pub(crate) fn rgb<'a>(
+        &self,
+        bytes: &'a [u8],
+        columns: Range<usize>,
+        row: usize,
+        converted: &'a mut [[u8; 3]],
+    ) -> &'a [u8] {
+        let each = self.format.bytes_per_pixel();
+        let first = (self.y + row) * self.width + self.x + columns.start;
+        self.format.rgb(&bytes[first * each..][..columns.len() * each], converted)
     }
 
     /// What output column and row `0..count` along `axis` (0 is x) see of the part.
@@ -45,7 +75,7 @@ impl Crop {
 
 /// `(pixel / 255 − mean) / std` of the crop, resized: a window `[3, height, width]`.
 ///
-/// `picture` holds red in the low byte, then green, blue and alpha, which is ignored. The filter is
+/// `picture` holds the bytes of its pixels row by row, four a word, the first in the low byte. The filter is
 /// bilinear with antialiasing: a triangle around the output's centre that reaches max(scale, 1)
 /// source pixels, normalised over the pixels inside the crop. So do Pillow's `BILINEAR` and
 /// PyTorch's `interpolate(mode="bilinear", antialias=True, align_corners=False)`.
@@ -57,15 +87,16 @@ pub fn crop_resize(
     std: [f32; 3],
 ) -> Tensor {
     let [columns, lines] = [crop.filters(0, width), crop.filters(1, height)];
+    let bytes: Vec<u8> = picture.data().iter().flat_map(|word| word.to_le_bytes()).collect();
     let mut rows = vec![[0.0; 3]; height * width];
     rows.par_chunks_mut(width.max(1)).zip(&lines).for_each(|(out, (first, weights))| {
         let mut line = vec![[0.0; 3]; crop.columns];
+        let mut converted = vec![[0; 3]; crop.columns];
         for (j, weight) in weights.iter().enumerate() {
-            let start = (crop.y + first + j) * crop.width + crop.x;
-            for (sum, pixel) in line.iter_mut().zip(&picture.data()[start..][..crop.columns]) {
-                let bytes = pixel.to_le_bytes();
+            let row = crop.rgb(&bytes, 0..crop.columns, first + j, &mut converted);
+            for (sum, pixel) in line.iter_mut().zip(row.as_chunks::<3>().0) {
                 for c in 0..3 {
-                    sum[c] += weight * f64::from(bytes[c]) / 255.0;
+                    sum[c] += weight * f64::from(pixel[c]) / 255.0;
                 }
             }
         }

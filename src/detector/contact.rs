@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use crate::cpu::crop_resize;
+use crate::cpu::{Crop, crop_resize};
 use crate::detector::Config;
-use crate::detector::input::{Input, crop};
+use crate::detector::input::Input;
 use crate::detector::runner::{On, Runner};
 use crate::error::Result;
 use crate::frame::Frame;
@@ -134,14 +134,13 @@ fn resize([height, width]: [usize; 2]) -> CropResize {
 /// The cells of a frame without contact.
 ///
 /// # Errors
-/// As [`Frame::pixels`].
+/// As [`Frame::bytes`].
 pub(super) fn reference_cells(frame: &Frame, view: &View) -> Result<Value> {
     let size = cells(view);
-    let pixels = frame.pixels(view.part)?;
-    let pixels = Tensor::new([pixels.len()], pixels)?;
+    let (bytes, all) = frame.bytes(view.part)?;
     let [height, width] = size;
-    let (op, crop) = (resize(size), crop(view, [width, height]));
-    Ok(crop_resize(&pixels, crop, size, op.mean, op.std).into())
+    let (op, crop) = (resize(size), Crop { resized: [width, height], ..all });
+    Ok(crop_resize(&bytes, crop, size, op.mean, op.std).into())
 }
 
 impl Detector {
@@ -155,7 +154,7 @@ impl Detector {
         let spec = TensorSpec::f32([3, height, width]);
         let mut graph = Graph::default();
         let picture = graph.input("picture", TensorSpec::u32([MAX_PIXELS]), Extent::UpTo);
-        let crop = graph.input("crop", TensorSpec::u32([10]), Extent::Exact);
+        let crop = graph.input("crop", TensorSpec::u32([Crop::WORDS]), Extent::Exact);
         graph.begin_stage("contact");
         let cells = graph.apply1("contact.cells", resize(kind.cells), &[picture, crop])?;
         let mut against = |name: &str, wanted: bool| {
@@ -198,7 +197,7 @@ impl Detector {
         deadline: Deadline,
     ) -> Result<Look> {
         let [height, width] = self.kind.cells;
-        let crop = crop(&input.view, [width, height]).to_tensor(input.pixels.elements())?.into();
+        let crop = input.resized([width, height])?;
         let mut inputs = vec![(self.picture, &input.pixels), (self.crop, &crop)];
         inputs.extend(self.reference.zip(reference));
         let nothing = before.is_none();

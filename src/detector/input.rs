@@ -12,7 +12,7 @@ use crate::graph::{StageTime, TensorId};
 use crate::model::{ModelConfig, Network};
 use crate::precision::Precision;
 use crate::sensor::View;
-use crate::tensor::{Tensor, Value};
+use crate::tensor::Value;
 
 /// How large the network's input is for a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,9 +51,11 @@ pub(super) struct Input {
     pub start: Instant,
     pub view: View,
     pub geometry: Geometry,
-    /// The view's part, packed.
+    /// What the view's part is made from.
     pub pixels: Value,
-    crop: Value,
+    crop: Crop,
+    /// The crop of all of it, at the network's scale.
+    whole: Value,
 }
 
 /// What the network gave for all of its input, or for a part.
@@ -66,10 +68,18 @@ impl Input {
     /// # Errors
     /// [`Error::Capacity`] for a part of the frame that is too large.
     pub fn new(start: Instant, frame: &Frame, view: View, geometry: Geometry) -> Result<Self> {
-        let pixels = frame.pixels(view.part)?;
-        let crop = crop(&view, geometry.resized).to_tensor(pixels.len())?.into();
-        let pixels = Tensor::new([pixels.len()], pixels)?.into();
-        Ok(Self { start, view, geometry, pixels, crop })
+        let (pixels, crop) = frame.bytes(view.part)?;
+        let crop = Crop { resized: geometry.resized, ..crop };
+        let whole = crop.to_tensor(pixels.data().len())?.into();
+        Ok(Self { start, view, geometry, pixels: pixels.into(), crop, whole })
+    }
+
+    /// The crop of all of the view's part, resized to this width and height.
+    ///
+    /// # Errors
+    /// As [`Crop::to_tensor`].
+    pub fn resized(&self, resized: [usize; 2]) -> Result<Value> {
+        Ok(Crop { resized, ..self.crop }.to_tensor(self.pixels.elements())?.into())
     }
 
     /// The crop of a part of the network's input.
@@ -77,9 +87,8 @@ impl Input {
     /// # Errors
     /// [`Error::Tensor`] for a window that begins behind the resized part.
     pub fn part(&self, window: &Window) -> Result<Value> {
-        let all = Crop::from_tensor(self.crop.u32()?, self.pixels.elements())?;
-        let crop = Crop { window: [window.x, window.y], ..all };
-        Ok(crop.to_tensor(self.pixels.elements())?.into())
+        let window = [window.x, window.y];
+        Ok(Crop { window, ..self.crop }.to_tensor(self.pixels.elements())?.into())
     }
 
     /// All of the network's input.
@@ -103,7 +112,7 @@ impl Input {
     }
 
     pub fn inputs(&self, network: &Network) -> [(TensorId, &Value); 2] {
-        [(network.picture, &self.pixels), (network.crop, &self.crop)]
+        [(network.picture, &self.pixels), (network.crop, &self.whole)]
     }
 
     /// Pixels of the frame for one of the network's input, along x and y.
@@ -210,12 +219,6 @@ impl Input {
             })
             .collect()
     }
-}
-
-/// The part of a view as [`Frame::pixels`] gives it, to be resized to this width and height.
-pub(super) fn crop(view: &View, resized: [usize; 2]) -> Crop {
-    let (columns, rows) = (view.part.width as usize, view.part.height as usize);
-    Crop { width: columns, height: rows, x: 0, y: 0, columns, rows, resized, window: [0; 2] }
 }
 
 fn value<'a>(network: &Network, values: &'a Values, id: TensorId) -> Result<&'a Value> {

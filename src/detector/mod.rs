@@ -36,11 +36,12 @@ use std::time::{Duration, Instant};
 
 use crate::comparison::{self, StageComparison, Values};
 use crate::error::{Error, Result};
-use crate::frame::{Frame, PixelFormat, Rect};
+use crate::frame::{Frame, Rect};
 use crate::gpu::{Deadline, Gpu};
 use crate::graph::{StageTime, TensorId};
 use crate::lower::Choice;
 use crate::model::ModelConfig;
+use crate::pixel_format::PixelFormat;
 use crate::precision::Precision;
 use crate::profile::{self, CommandTime};
 use crate::sensor::{self, Sensor, View};

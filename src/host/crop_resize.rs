@@ -8,8 +8,10 @@ use crate::cpu::Crop;
 use crate::ops::CropResize;
 use crate::tensor::Tensor;
 
-/// Bytes of a packed pixel; the last, alpha, is ignored.
-const RGBA: usize = 4;
+/// Numbers of a pixel.
+const RGB: usize = 3;
+/// Numbers that are added at a time: a pixel's and the next one's first, which is not looked at.
+const LANES: usize = 4;
 
 /// Crop and resize to `[H, W, 3]`.
 #[derive(Debug)]
@@ -35,34 +37,31 @@ impl Kernel for Resize {
         // Levels are summed as differences from the mean's whole level, which are exact: what is
         // left of the mean is small, so little cancels.
         let shift = self.op.shift();
-        let level: [f32; RGBA] =
-            std::array::from_fn(|c| shift.get(c).map_or(0.0, |(level, _)| f32::from(*level)));
-        let levels = level.repeat(to - from);
+        let levels = shift.map(|(level, _)| f32::from(level)).repeat(to - from);
         let scale = self.op.std.map(|s| (1.0 / (255.0 * f64::from(s))) as f32);
-        let rest: [f32; 3] =
+        let rest: [f32; RGB] =
             std::array::from_fn(|c| (shift[c].1 / f64::from(self.op.std[c])) as f32);
-        outputs[0].par_chunks_mut(self.op.width * 3).zip(&rows).for_each_init(
-            || vec![0.0f32; (to - from) * RGBA],
-            |line, (out, (first, weights))| {
+        outputs[0].par_chunks_mut(self.op.width * RGB).zip(&rows).for_each_init(
+            || (vec![0.0f32; (to - from) * RGB + 1], vec![[0; RGB]; to - from]),
+            |(line, converted), (out, (first, weights))| {
                 vectorised(|| {
                     line.fill(0.0);
                     for (j, weight) in weights.iter().enumerate() {
-                        let start = ((crop.y + first + j) * crop.width + crop.x + from) * RGBA;
-                        let row = &bytes[start..][..(to - from) * RGBA];
+                        let row = crop.rgb(bytes, from..to, first + j, converted);
                         // Flat, so that it fills vectors.
                         for ((sum, byte), level) in line.iter_mut().zip(row).zip(&levels) {
                             *sum += weight * (f32::from(*byte) - level);
                         }
                     }
-                    for (out, (first, weights)) in out.chunks_exact_mut(3).zip(&columns) {
-                        let mut sum = [0.0f32; RGBA];
-                        let pixels = line[first * RGBA..].chunks_exact(RGBA);
+                    for (out, (first, weights)) in out.chunks_exact_mut(RGB).zip(&columns) {
+                        let mut sum = [0.0f32; LANES];
+                        let pixels = line[first * RGB..].windows(LANES).step_by(RGB);
                         for (weight, pixel) in weights.iter().zip(pixels) {
                             for (sum, x) in sum.iter_mut().zip(pixel) {
                                 *sum += weight * x;
                             }
                         }
-                        for c in 0..3 {
+                        for c in 0..RGB {
                             out[c] = sum[c] * scale[c] - rest[c];
                         }
                     }

@@ -17,6 +17,7 @@ pub use weights::{MAX_FILE, Weights};
 use backbone::Features;
 use cbam::POOLED;
 
+use crate::cpu::Crop;
 use crate::error::{Error, Result};
 use crate::graph::{Graph, TensorId};
 use crate::ops::{CropResize, Nms, NotFinite};
@@ -33,10 +34,10 @@ pub struct Network {
     pub config: ModelConfig,
     /// Height and width of the input in pixels.
     pub size: [usize; 2],
-    /// Input: packed RGBA pixels, u32 `[MAX_PIXELS]` or shorter.
+    /// Input: the picture's bytes, four a word, u32 `[MAX_PIXELS]` or shorter.
     pub picture: TensorId,
-    /// Input: where the picture's part lies and what it is resized to, u32 `[10]`, as
-    /// [`crate::cpu::Crop::to_tensor`] gives it.
+    /// Input: where the picture's part lies and what it is resized to, u32 `[Crop::WORDS]`, as
+    /// [`Crop::to_tensor`] gives it.
     pub crop: TensorId,
     /// Output: boxes in pixels of the network's input, `[N, 4]`.
     pub boxes: TensorId,
@@ -126,7 +127,7 @@ impl Network {
         }
         let mut graph = Graph::default();
         let picture = graph.input("picture", TensorSpec::u32([MAX_PIXELS]), Extent::UpTo);
-        let crop = graph.input("crop", TensorSpec::u32([10]), Extent::Exact);
+        let crop = graph.input("crop", TensorSpec::u32([Crop::WORDS]), Extent::Exact);
         graph.begin_stage("input");
         let resize =
             CropResize { width: size[1], height: size[0], mean: config.mean, std: config.std };

@@ -2,17 +2,18 @@
 
 use crate::cpu::{self, Crop};
 use crate::error::{Error, Result};
-use crate::ops::case::{Case, values};
+use crate::ops::case::{Case, random_integers, values};
 use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
+use crate::pixel_format::PixelFormat;
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "crop_resize",
-    takes: "picture u32 [N], RGBA8; crop u32 [10]: width, height, x, y, columns, rows, resized width \
-            and height, window x and y",
+    takes: "picture u32 [N], four bytes a word; crop u32 [11]: width, height, x, y, columns, rows, resized \
+            width and height, window x and y, format: 0 RGB, 1 BGR, 2 RGBA, 3 BGRA, 4 grey",
     gives: "output [3, height, width]",
     params: &[
         Param::required("width", "320", Range::Whole(1, MAX_SIZE)),
@@ -24,8 +25,6 @@ pub static ENTRY: Entry = Entry {
     cases,
 };
 
-/// Words of the crop.
-const WORDS: usize = 10;
 /// Largest output and resized side, and side of a crop: the shader's positions, products of the two,
 /// stay below 2³².
 const MAX_SIZE: u64 = 16_384;
@@ -39,10 +38,10 @@ pub(crate) const STD: [f32; 2] = [1e-3, 1e3];
 /// `(pixel / 255 − mean) / std` of a part of a picture, resized with antialiased bilinear weights, or
 /// of a window of it. Past the resized part's right and lower edge the output repeats them.
 ///
-/// Inputs: `picture u32[capacity]`, RGBA8 with red in the low byte, row-major, rows without
-/// padding, perhaps with unused words behind it; `crop u32[10]` from [`Crop::to_tensor`]. As the
-/// geometry is data, one plan serves pictures of every size up to the capacity. Output:
-/// `output [3, height, width]`.
+/// Inputs: `picture u32[capacity]`, the bytes of its pixels four a word, the first in the low byte,
+/// row-major, rows without padding, perhaps with unused words behind it; `crop u32[11]` from
+/// [`Crop::to_tensor`]. As geometry and format are data, one plan serves pictures of every kind and size up
+/// to the capacity. Output: `output [3, height, width]`.
 #[derive(Clone, Copy, Debug)]
 pub struct CropResize {
     /// Columns of the output.
@@ -56,13 +55,16 @@ pub struct CropResize {
 }
 
 impl Crop {
+    /// Numbers of [`Crop::to_tensor`].
+    pub const WORDS: usize = 11;
+
     /// The crop as [`CropResize`] takes it, for a picture buffer of `capacity` words.
     ///
     /// # Errors
     /// [`Error::Tensor`] if the crop is empty, larger than the shader can address, or not inside the
-    /// picture; [`Error::Capacity`] if the picture is larger than the buffer.
+    /// picture, or shows a Bayer pattern; [`Error::Capacity`] if the picture's bytes are more than the buffer's.
     pub fn to_tensor(&self, capacity: usize) -> Result<Tensor<u32>> {
-        let Self { width, height, x, y, columns, rows, resized, window } = *self;
+        let Self { width, height, x, y, columns, rows, resized, window, format } = *self;
         let inside = |at: usize, length: usize, all: usize| {
             (1..=MAX_SIDE).contains(&length) && at <= all && length <= all - at
         };
@@ -80,25 +82,38 @@ impl Crop {
                 return Err(Error::tensor(ENTRY.name, "crop", expected, got));
             }
         }
-        let words = width as u64 * height as u64;
+        let words = (width as u64 * height as u64 * format.bytes_per_pixel() as u64).div_ceil(4);
         if words > capacity as u64 {
-            let what = format!("pixels for a {width}×{height} picture");
+            let what = format!("words for a {width}×{height} picture");
             return Err(Error::Capacity { what, needed: words, available: capacity as u64 });
         }
         let [w, h] = resized;
-        let numbers = [width, height, x, y, columns, rows, w, h, window[0], window[1]];
-        Ok(Tensor::from_fn([WORDS], |i| numbers[i] as u32))
+        let [left, top] = window;
+        let number = PixelFormat::OWN_COLOURS.iter().position(|known| *known == format);
+        let number = number.ok_or_else(|| {
+            Error::tensor(
+                ENTRY.name,
+                "crop",
+                "pixels that stand for themselves",
+                format!("{format:?}"),
+            )
+        })?;
+        let numbers = [width, height, x, y, columns, rows, w, h, left, top, number];
+        Ok(Tensor::from_fn([Crop::WORDS], |i| numbers[i] as u32))
     }
 
     /// Reads [`Crop::to_tensor`]'s words back and checks them again.
     ///
     /// # Errors
-    /// As [`Crop::to_tensor`].
+    /// As [`Crop::to_tensor`], and [`Error::Tensor`] for a format that there is not.
     pub(crate) fn from_tensor(words: &Tensor<u32>, capacity: usize) -> Result<Self> {
-        let [width, height, x, y, columns, rows, w, h, left, top] =
+        let [width, height, x, y, columns, rows, w, h, left, top, number] =
             std::array::from_fn(|i| words.data()[i] as usize);
+        let format = PixelFormat::OWN_COLOURS.get(number).copied().ok_or_else(|| {
+            Error::tensor(ENTRY.name, "crop", "a pixel format from 0 to 4", number)
+        })?;
         let (resized, window) = ([w, h], [left, top]);
-        let crop = Self { width, height, x, y, columns, rows, resized, window };
+        let crop = Self { width, height, x, y, columns, rows, resized, window, format };
         crop.to_tensor(capacity).map(|_| crop)
     }
 }
@@ -146,7 +161,7 @@ impl Op for CropResize {
         if capacity == 0 {
             return Err(Error::tensor(name, "picture", "at least one pixel", &inputs[0]));
         }
-        expect(name, "crop", &TensorSpec::u32([WORDS]), &inputs[1])?;
+        expect(name, "crop", &TensorSpec::u32([Crop::WORDS]), &inputs[1])?;
         Ok(vec![TensorSpec::f32([3, self.height, self.width])])
     }
 
@@ -168,13 +183,21 @@ impl Op for CropResize {
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
         let (picture, crop) = self.parts(inputs)?;
         let shift = self.shift();
-        let distance = Tensor::from_fn(picture.shape().clone(), |i| {
-            let [r, g, b, _] = picture.data()[i].to_le_bytes();
-            let [r, g, b] = [0, 1, 2].map(|c| [r, g, b][c].abs_diff(shift[c].0));
-            u32::from_le_bytes([r, g, b, 0])
+        let bytes: Vec<u8> = picture.data().iter().flat_map(|word| word.to_le_bytes()).collect();
+        let mut converted = vec![[0; 3]; crop.columns];
+        let distances = (0..crop.rows).flat_map(|y| {
+            let row = crop.rgb(&bytes, 0..crop.columns, y, &mut converted);
+            let word = |rgb: &[u8; 3]| {
+                let [r, g, b] = std::array::from_fn(|c| rgb[c].abs_diff(shift[c].0));
+                u32::from_le_bytes([r, g, b, 0])
+            };
+            row.as_chunks().0.iter().map(word).collect::<Vec<_>>()
         });
+        let distance = Tensor::new([crop.columns * crop.rows], distances.collect())?;
+        let (width, height, format) = (crop.columns, crop.rows, PixelFormat::Rgba8);
+        let all = Crop { x: 0, y: 0, width, height, format, ..crop };
         let size = [self.height, self.width];
-        let resized = cpu::crop_resize(&distance, crop, size, [0.0; 3], [1.0; 3]);
+        let resized = cpu::crop_resize(&distance, all, size, [0.0; 3], [1.0; 3]);
         let taps = |side: usize, size: usize| (2 * side.div_ceil(size) + 1).min(side);
         let [w, h] = crop.resized;
         let taps = taps(crop.columns, w) + taps(crop.rows, h);
@@ -201,7 +224,10 @@ fn cases() -> Vec<Case> {
     let grey = |shades: &[u32]| -> Value {
         Tensor::from_fn([shades.len()], |i| 0xff00_0000 | (shades[i] * 0x01_0101)).into()
     };
-    let crop = |numbers: [u32; WORDS]| -> Value { Tensor::from_fn([WORDS], |i| numbers[i]).into() };
+    let in_format = |numbers: [u32; Crop::WORDS - 1], format: u32| -> Value {
+        Tensor::from_fn([Crop::WORDS], |i| *numbers.get(i).unwrap_or(&format)).into()
+    };
+    let crop = |numbers: [u32; Crop::WORDS - 1]| in_format(numbers, 2);
     // A square: width, height, x, y, side.
     let square = |size: usize, [w, h, x, y, side]: [u32; 5]| {
         crop([w, h, x, y, side, side, size as u32, size as u32, 0, 0])
@@ -323,6 +349,28 @@ fn cases() -> Vec<Case> {
     for (name, width, height, capacity, numbers) in shapes {
         let op = CropResize { width, height, mean, std };
         cases.push(Case::new(name, op, vec![pattern(capacity), crop(numbers)]));
+    }
+    // Two rows of two pixels, each to itself. The bytes are 0, 51, 102, 153, 204, 255 and again, a fifth more
+    // each: 0, 1, 2, 3, 4, 5, 0, 1, …
+    let words = [0x9966_3300, 0x3300_ffcc, 0xffcc_9966, 0x9966_3300];
+    let bytes: Value = Tensor::from_fn([4], |i| words[i]).into();
+    let by_hand = [
+        [[0, 3, 0, 3], [1, 4, 1, 4], [2, 5, 2, 5]],
+        [[2, 5, 2, 5], [1, 4, 1, 4], [0, 3, 0, 3]],
+        [[0, 4, 2, 0], [1, 5, 3, 1], [2, 0, 4, 2]],
+        [[2, 0, 4, 2], [1, 5, 3, 1], [0, 4, 2, 0]],
+        [[0, 1, 2, 3]; 3],
+    ];
+    for ((number, format), fifths) in (0..).zip(PixelFormat::OWN_COLOURS).zip(by_hand) {
+        let want: Vec<f32> = fifths.as_flattened().iter().map(|n| *n as f32 / 5.0).collect();
+        let inputs = vec![bytes.clone(), in_format([2, 2, 0, 0, 2, 2, 2, 2, 0, 0], number)];
+        let case = Case::new(&format!("{format:?} by hand"), sized(2), inputs);
+        cases.push(case.by_hand(vec![values([3, 2, 2], &want)]));
+        let words = (61 * 47 * format.bytes_per_pixel()).div_ceil(4);
+        let noise = random_integers(u64::from(number), [words], u32::MAX);
+        let op = CropResize { width: 23, height: 17, mean, std };
+        let inputs = vec![noise, in_format([61, 47, 1, 2, 60, 45, 23, 17, 0, 0], number)];
+        cases.push(Case::new(&format!("{format:?}, resized"), op, inputs));
     }
     let op = CropResize { mean, std, ..sized(320) };
     let inputs = vec![pattern(1_000_000), square(320, [1000, 1000, 0, 0, 1000])];

@@ -1,4 +1,5 @@
 use crate::support::{check_op, gpu, refusal};
+use smr_gpu::PixelFormat;
 use smr_gpu::check::run_op;
 use smr_gpu::cpu::Crop;
 use smr_gpu::ops::{CropResize, Op, Params, find};
@@ -14,7 +15,7 @@ const OP: CropResize = CropResize { width: 32, height: 32, mean: [0.5; 3], std: 
 
 #[test]
 fn refuses_what_does_not_fit() {
-    let specs = [TensorSpec::u32([100]), TensorSpec::u32([10])];
+    let specs = [TensorSpec::u32([100]), TensorSpec::u32([11])];
     let message = refusal(&CropResize { height: 0, ..OP }, &specs);
     assert!(message.contains("`height`: expected 1 to 16384, got 0"), "{message}");
     let message = refusal(&CropResize { mean: [0.5, f32::NAN, 0.5], ..OP }, &specs);
@@ -24,10 +25,10 @@ fn refuses_what_does_not_fit() {
         message.contains("`std`: expected numbers from 0.001 to 1000, got 0.2,0,0.2"),
         "{message}"
     );
-    let message = refusal(&OP, &[TensorSpec::f32([100]), TensorSpec::u32([10])]);
+    let message = refusal(&OP, &[TensorSpec::f32([100]), TensorSpec::u32([11])]);
     assert!(message.contains("`picture`: expected u32 of rank 1"), "{message}");
     let message = refusal(&OP, &[TensorSpec::u32([100]), TensorSpec::u32([4])]);
-    assert!(message.contains("`crop`: expected u32[10], got u32[4]"), "{message}");
+    assert!(message.contains("`crop`: expected u32[11], got u32[4]"), "{message}");
 }
 
 #[test]
@@ -41,8 +42,9 @@ fn refuses_crops_outside_the_picture() {
         rows: 6,
         resized: [5, 4],
         window: [1, 2],
+        format: PixelFormat::Rgba8,
     };
-    let words = [10, 8, 3, 1, 7, 6, 5, 4, 1, 2];
+    let words = [10, 8, 3, 1, 7, 6, 5, 4, 1, 2, 2];
     assert_eq!(good.to_tensor(80).expect("a crop").data(), words);
     let bad = [
         Crop { columns: 0, ..good },
@@ -68,14 +70,26 @@ fn refuses_crops_outside_the_picture() {
     }
     let message = good.to_tensor(79).expect_err("an error").to_string();
     assert!(message.contains("10×8 picture: needs 80, but only 79"), "{message}");
+    // Three bytes a pixel are less, one that is begun counts as a word.
+    let rgb = Crop { format: PixelFormat::Rgb8, width: 9, columns: 6, ..good };
+    assert!(rgb.to_tensor(54).is_ok());
+    let message = rgb.to_tensor(53).expect_err("an error").to_string();
+    assert!(message.contains("9×8 picture: needs 54, but only 53"), "{message}");
+    let bayer = Crop { format: PixelFormat::BayerRggb8, ..good };
+    let message = bayer.to_tensor(80).expect_err("an error").to_string();
+    assert!(message.contains("stand for themselves, got BayerRggb8"), "{message}");
     // The crop's words are held to the same, by the reference as on the device.
     let picture = Tensor::<u32>::zeros([80]).into();
-    let crop = Tensor::from_fn([10], |i| [10, 8, 4, 1, 7, 6, 5, 4, 1, 2][i]).into();
+    let crop = Tensor::from_fn([11], |i| [10, 8, 4, 1, 7, 6, 5, 4, 1, 2, 2][i]).into();
     let by_reference = OP.reference(&[&picture, &crop]).expect_err("an error").to_string();
     assert!(by_reference.contains("7×6 at (4, 1)"), "{by_reference}");
     let on_device: std::sync::Arc<dyn Op> = std::sync::Arc::new(OP);
-    let on_device = run_op(gpu(), &on_device, &[picture, crop]).expect_err("an error").to_string();
+    let on_device =
+        run_op(gpu(), &on_device, &[picture.clone(), crop]).expect_err("an error").to_string();
     assert_eq!(on_device, by_reference);
+    let crop = Tensor::from_fn([11], |i| [10, 8, 3, 1, 7, 6, 5, 4, 1, 2, 5][i]).into();
+    let message = OP.reference(&[&picture, &crop]).expect_err("an error").to_string();
+    assert!(message.contains("expected a pixel format from 0 to 4, got 5"), "{message}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-// A part of a packed RGBA8 picture, resized and normalised, or a window of it, as
+// A part of a picture, resized and normalised, or a window of it, as
 // [3, height, width]. Past the resized part's edge the output repeats it.
 //
 // The mean is subtracted in two parts: a whole number of levels from each pixel, which is exact, and
@@ -10,6 +10,7 @@
 // integers, so that each weight is exact.
 
 // include: index
+// include: pixels
 
 struct Params {
     width: u32,
@@ -27,10 +28,10 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-// Red in the low byte, row-major.
+// Its bytes, four a word.
 @group(0) @binding(1) var<storage, read> picture: array<u32>;
 // Picture width and height; the part's x, y, columns and rows; the resized width and height; x and y
-// of the window.
+// of the window; the pixels' format.
 @group(0) @binding(2) var<storage, read> crop: array<u32>;
 @group(0) @binding(3) var<storage, read_write> output: array<f32>;
 
@@ -92,19 +93,17 @@ fn main(
     if pixel >= area {
         return;
     }
-    let width = crop[0];
+    let map = pixels();
+    let corner = vec2(crop[2], crop[3]);
     let y = pixel / params.width;
     let rows = taps(axis(1u), y);
     let columns = taps(axis(0u), pixel - y * params.width);
     let shift = vec3<f32>(params.shift_r, params.shift_g, params.shift_b);
     var total = vec3<f32>(0.0);
     for (var j = rows.first; j < rows.end; j++) {
-        let start = (crop[3] + j) * width + crop[2];
         var row = vec3<f32>(0.0);
         for (var i = columns.first; i < columns.end; i++) {
-            // Nor is anything read outside the picture's buffer, whatever the corner says.
-            let packed = picture[min(start + i, arrayLength(&picture) - 1u)];
-            let rgb = vec3<u32>(packed & 255u, (packed >> 8u) & 255u, (packed >> 16u) & 255u);
+            let rgb = colour(map, corner + vec2(i, j));
             row = fma(vec3<f32>(weight(columns, i)), vec3<f32>(rgb) - shift, row);
         }
         total = fma(vec3<f32>(weight(rows, j)), row, total);

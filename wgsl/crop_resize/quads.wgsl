@@ -1,4 +1,4 @@
-// A part of a packed RGBA8 picture, resized and normalised, or a window of it, as a map of three
+// A part of a picture, resized and normalised, or a window of it, as a map of three
 // channels, four a texel. Past the resized part's edge the output repeats it.
 //
 // The mean is subtracted in two parts: a whole number of levels from each pixel, which is exact, and
@@ -12,6 +12,7 @@
 // An invocation computes four pixels of a column, which share the sums of the picture's rows; a
 // workgroup is 8 x 8 such columns.
 
+// include: pixels
 // include: quads
 // include: texels
 
@@ -32,10 +33,10 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-// Red in the low byte, row-major.
+// Its bytes, four a word.
 @group(0) @binding(1) var<storage, read> picture: array<u32>;
 // Picture width and height; the part's x, y, columns and rows; the resized width and height; x and y
-// of the window.
+// of the window; the pixels' format.
 @group(0) @binding(2) var<storage, read> crop: array<u32>;
 @group(0) @binding(3) var<storage, read_write> output: array<OutputTexel>;
 
@@ -109,7 +110,8 @@ fn main(
     if x >= map.width || y >= map.height {
         return;
     }
-    let width = crop[0];
+    let source = pixels();
+    let corner = vec2(crop[2], crop[3]);
     // Rows past the last repeat it; nobody stores them.
     let last = map.height - 1u;
     let down = axis(1u);
@@ -119,7 +121,6 @@ fn main(
     let rows3 = taps(down, min(y + 3u, last));
     let columns = taps(axis(0u), x);
     let shift = vec3(params.shift_r, params.shift_g, params.shift_b);
-    let corner = crop[3u] * width + crop[2u];
     // How far the first column is from the centre, and from one to the next: integers in f32.
     let start_distance = f32(i32(columns.centre - (2u * columns.first + 1u) * columns.size));
     let step = f32(2u * columns.size);
@@ -129,13 +130,10 @@ fn main(
     var total2 = vec3(0.0);
     var total3 = vec3(0.0);
     for (var j = rows0.first; j < rows3.end; j++) {
-        let start = corner + j * width;
         var row = vec3(0.0);
         var distance = start_distance;
         for (var i = columns.first; i < columns.end; i++) {
-            // Nor is anything read outside the picture's buffer, whatever the corner says.
-            let packed = picture[min(start + i, arrayLength(&picture) - 1u)];
-            let rgb = vec3(packed & 255u, (packed >> 8u) & 255u, (packed >> 16u) & 255u);
+            let rgb = colour(source, corner + vec2(i, j));
             row = fma(vec3(reach - abs(distance)), vec3<f32>(rgb) - shift, row);
             distance -= step;
         }

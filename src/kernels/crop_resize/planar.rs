@@ -40,7 +40,7 @@ fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Re
     let params = Params {
         width: op.width as u32,
         height: op.height as u32,
-        capacity: recording.dims(inputs[0])[0] as u32,
+        capacity: 4 * recording.dims(inputs[0])[0] as u32,
         shift_r,
         shift_g,
         shift_b,

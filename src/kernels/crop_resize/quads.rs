@@ -60,7 +60,7 @@ impl Kernel for Quads {
         let [std_r, std_g, std_b] = op.std;
         let params = Params {
             map,
-            capacity: recording.dims(inputs[0])[0] as u32,
+            capacity: 4 * recording.dims(inputs[0])[0] as u32,
             shift_r,
             shift_g,
             shift_b,

@@ -13,7 +13,7 @@
 //! whole network's, both medians, the shift's 95th percentile too; then shares of the pictures without
 //! contact, and of those of which parts were looked at. A second table has the time of each way by what
 //! pictures show: each folder, those with one snap or several, and those with one snap of which parts were
-//! looked at; a third the stages of the last.
+//! looked at; a third the stages of the last. Then the snaps that each way loses.
 
 mod labelled;
 
@@ -43,6 +43,9 @@ struct Args {
     /// [`Scene::margin_mm`], one or several.
     #[arg(long, value_delimiter = ',', default_values_t = [Scene::FULL.margin_mm])]
     margin: Vec<f32>,
+    /// [`Scene::objectness`].
+    #[arg(long, default_value_t = Scene::FULL.objectness)]
+    objectness: f32,
     /// Of each folder the first so many.
     #[arg(long, default_value_t = usize::MAX, hide_default_value = true)]
     limit: usize,
@@ -50,6 +53,13 @@ struct Args {
     /// look of a size builds what it needs.
     #[arg(long)]
     once: bool,
+}
+
+/// A labelled snap.
+struct Truth {
+    /// Folder and file.
+    picture: String,
+    center_mm: [f64; 2],
 }
 
 /// One way to look, and what came of it so far.
@@ -98,6 +108,7 @@ impl Group {
 fn main() -> Result<(), Box<dyn Error>> {
     let args = Args::parse();
     let way = |name: &str, weights: &Path, scene: Scene| -> Result<Way, Box<dyn Error>> {
+        let scene = Scene { objectness: args.objectness, ..scene };
         let config = Config::new(weights).device(args.device.clone()).scene(scene).score(SCORE);
         let detector = GpuDetector::new(config)?;
         Ok(Way { name: name.to_owned(), detector, looks: Vec::new(), snaps: Vec::new() })
@@ -145,16 +156,17 @@ fn main() -> Result<(), Box<dyn Error>> {
     print(&ways, &truths, base);
     print_groups(&ways, &groups, base);
     print_stages(&ways, &groups[2]);
+    print_lost(&ways, &truths);
     Ok(())
 }
 
-/// Looks at a picture in all ways; `truths` gets the centre of each of its snaps in millimetres.
+/// Looks at a picture in all ways; `truths` gets each of its snaps.
 fn look(
     ways: &mut [Way],
     folder: &Path,
     labelled: &Picture,
     data: &Dataset,
-    truths: &mut Vec<[f64; 2]>,
+    truths: &mut Vec<Truth>,
     once: bool,
 ) -> Result<(), Box<dyn Error>> {
     let frame = labelled::frame(folder, labelled)?;
@@ -169,7 +181,8 @@ fn look(
         way.looks.push(Look::of(&found));
         for label in labelled::snaps(labelled) {
             if number == 0 {
-                truths.push(center_mm(label, &found));
+                let picture = folder.join(&labelled.file).display().to_string();
+                truths.push(Truth { picture, center_mm: center_mm(label, &found) });
             }
             way.snaps.push(best(&found, &data.categories[label.category], label));
         }
@@ -177,7 +190,7 @@ fn look(
     Ok(())
 }
 
-fn print(ways: &[Way], truths: &[[f64; 2]], base: usize) {
+fn print(ways: &[Way], truths: &[Truth], base: usize) {
     let right = |best: &Option<Best>| best.filter(Best::is_right);
     let (whole, base) = (&ways[0], &ways[base]);
     println!(
@@ -204,7 +217,7 @@ fn print(ways: &[Way], truths: &[[f64; 2]], base: usize) {
         let overlap: f64 = way.snaps.iter().map(|best| best.map_or(0.0, |b| b.iou)).sum();
         let found =
             || way.snaps.iter().zip(truths).filter_map(|(best, at)| Some((right(best)?, at)));
-        let errors = found().map(|(best, truth)| distance(best.center, *truth));
+        let errors = found().map(|(best, truth)| distance(best.center, truth.center_mm));
         let shifts = both().filter_map(|(own, all)| Some((right(own)?.center, right(all)?.center)));
         let shifts: Vec<f64> = shifts.map(|(own, all)| distance(own, all)).collect();
         println!(
@@ -261,6 +274,20 @@ fn print_stages(ways: &[Way], group: &Group) {
         };
         let ms: Vec<String> = stages.iter().map(ms).collect();
         println!("| {stage} | {} |", ms.join(" | "));
+    }
+}
+
+/// The snaps that the first way finds and another does not.
+fn print_lost(ways: &[Way], truths: &[Truth]) {
+    println!("\n| lost by | picture | centre, mm |\n|---|---|---|");
+    for way in &ways[1..] {
+        for ((own, all), truth) in way.snaps.iter().zip(&ways[0].snaps).zip(truths) {
+            let [own, all] = [own, all].map(|best| best.is_some_and(|best| best.is_right()));
+            if all && !own {
+                let [x, y] = truth.center_mm;
+                println!("| {} | {} | {x:.1}, {y:.1} |", way.name, truth.picture);
+            }
+        }
     }
 }
 

@@ -43,6 +43,9 @@ struct Args {
     /// [`Scene::margin_mm`], one or several.
     #[arg(long, value_delimiter = ',', default_values_t = [Scene::FULL.margin_mm])]
     margin: Vec<f32>,
+    /// Of the ways to save those whose names begin so; all of them by default.
+    #[arg(long)]
+    way: Vec<String>,
     /// [`Scene::objectness`].
     #[arg(long, default_value_t = Scene::FULL.objectness)]
     objectness: f32,
@@ -125,6 +128,12 @@ fn main() -> Result<(), Box<dyn Error>> {
         ways.push(way(&parts, own, Scene { margin_mm: *margin_mm, regions: true, ..Scene::FULL })?);
         ways.push(way(&all, own, Scene { margin_mm: *margin_mm, ..Scene::SAVING })?);
     }
+    let wanted = |name: &str| args.way.iter().any(|way| name.trim_matches('`').starts_with(way));
+    let mut number = 0;
+    ways.retain(|way| {
+        number += 1;
+        number == 1 || args.way.is_empty() || wanted(&way.name)
+    });
     if let Some(other) = &args.beside {
         ways.push(way("the other network, nothing left out", other, Scene::FULL)?);
     }

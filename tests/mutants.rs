@@ -208,6 +208,14 @@ const FAULTS: &[Fault] = &[
         by_hand: true,
     },
     Fault {
+        what: "blue first taken for red first",
+        file: "shared/pixels",
+        changes: &[("(format & 1u) == 1u", "(format & 1u) == 2u")],
+        op: "crop_resize",
+        case: "Bgr8 by hand",
+        by_hand: true,
+    },
+    Fault {
         what: "quads side by side taken as one below the other",
         file: "shared/quads",
         changes: &[("let width = map.columns * map.pitch", "let width = map.pitch")],

@@ -23,7 +23,7 @@ impl ContactRule {
     /// The level to which a reference frame is brought.
     pub const LEVEL: f32 = 128.0;
     /// Touched tiles differ by more than so many times what the calmest quarter of all differs by.
-    pub const FACTOR: f32 = 3.25;
+    pub const FACTOR: f32 = 3.0;
     /// Steps from `least` to `most`.
     pub const STEPS: usize = 32;
     /// What a tile with a clipped cell is taken to differ by.

@@ -41,7 +41,7 @@ impl Scene {
         proposals: false,
         margin_mm: 3.0,
         most_of_input: 0.8,
-        objectness: 0.04,
+        objectness: 0.02,
     };
     /// All that can be left out is.
     pub const SAVING: Self = Self { contact: true, regions: true, proposals: true, ..Self::FULL };

@@ -364,13 +364,13 @@ fn cases() -> Vec<Case> {
     for ((number, format), fifths) in (0..).zip(PixelFormat::OWN_COLOURS).zip(by_hand) {
         let want: Vec<f32> = fifths.as_flattened().iter().map(|n| *n as f32 / 5.0).collect();
         let inputs = vec![bytes.clone(), in_format([2, 2, 0, 0, 2, 2, 2, 2, 0, 0], number)];
-        let case = Case::new(&format!("{format:?} by hand"), sized(2), inputs);
+        let case = Case::new(format!("{format:?} by hand"), sized(2), inputs);
         cases.push(case.by_hand(vec![values([3, 2, 2], &want)]));
         let words = (61 * 47 * format.bytes_per_pixel()).div_ceil(4);
         let noise = random_integers(u64::from(number), [words], u32::MAX);
         let op = CropResize { width: 23, height: 17, mean, std };
         let inputs = vec![noise, in_format([61, 47, 1, 2, 60, 45, 23, 17, 0, 0], number)];
-        cases.push(Case::new(&format!("{format:?}, resized"), op, inputs));
+        cases.push(Case::new(format!("{format:?}, resized"), op, inputs));
     }
     let op = CropResize { mean, std, ..sized(320) };
     let inputs = vec![pattern(1_000_000), square(320, [1000, 1000, 0, 0, 1000])];

@@ -25,6 +25,7 @@ fn colour(map: Pixels, at: vec2<u32>) -> vec3<u32> {
     let low = picture[min(byte / 4u, map.last_word)];
     let high = picture[min(byte / 4u + 1u, map.last_word)];
     let shift = byte % 4u * 8u;
-    let four_bytes = (low >> shift) | (high << (24u - shift) << 8u);
+    // In two steps: no shift is by all bits.
+    let four_bytes = (low >> shift) | ((high << (24u - shift)) << 8u);
     return (vec3<u32>(four_bytes) >> map.shifts) & vec3<u32>(255u);
 }

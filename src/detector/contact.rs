@@ -32,6 +32,10 @@ const CLIPPED: f32 = 250.0;
 /// Touched tiles in a square of 3 × 3, past the edge the edge's, that make its middle a part of a contact;
 /// scratches, dust and hairs have fewer.
 const CORE: usize = 6;
+/// Touched tiles in a square of 7 × 7 that do so too: a ring with a thin wall fills no smaller one.
+const RING: usize = 10;
+/// Tiles from that square's middle to its sides.
+const RING_REACH: usize = 3;
 /// Tiles from there to touched ones that belong to the same contact, along x and y.
 const SKIRT: usize = 2;
 
@@ -56,16 +60,20 @@ impl Map {
         // The place at an offset, or the nearest one at the edge.
         let near = |at: usize, by: usize, all: usize| (at + by).saturating_sub(1).min(all - 1);
         let places = (0..rows).flat_map(|y| (0..columns).map(move |x| (x, y)));
+        // The square of tiles within `reach` of a place, as far as there are any.
+        let around = |(x, y): (usize, usize), reach: usize| {
+            let side = |at: usize, all: usize| at.saturating_sub(reach)..(at + reach + 1).min(all);
+            let across = side(x, columns);
+            side(y, rows).flat_map(move |y| across.clone().map(move |x| (x, y)))
+        };
         let is_core = |(x, y): (usize, usize)| {
             let square = (0..9).filter(|i| bit(near(x, i % 3, columns), near(y, i / 3, rows)));
-            bit(x, y) && square.count() >= CORE
+            let ring = || around((x, y), RING_REACH).filter(|(x, y)| bit(*x, *y));
+            bit(x, y) && (square.count() >= CORE || ring().count() >= RING)
         };
         let core: Vec<bool> = places.clone().map(is_core).collect();
-        let around = |at: usize, all: usize| at.saturating_sub(SKIRT)..(at + SKIRT + 1).min(all);
         let belongs = |(x, y): (usize, usize)| {
-            let mut square =
-                around(y, rows).flat_map(|y| around(x, columns).map(move |x| y * columns + x));
-            bit(x, y) && square.any(|at| core[at])
+            bit(x, y) && around((x, y), SKIRT).any(|(x, y)| core[y * columns + x])
         };
         Self { touched: places.map(belongs).collect(), tiles, cells }
     }
@@ -257,6 +265,15 @@ mod tests {
         let more = ["........", ".#......", ".###....", "..##....", "...##..#", "........"];
         let want = [[1, 1], [1, 2], [2, 2], [3, 2], [2, 3], [3, 3], [3, 4], [4, 4]];
         assert_eq!(seen(more), want);
+    }
+
+    /// No square of 3 × 3 holds more than three of a ring's twelve tiles; of an arc there are nine in all.
+    #[test]
+    fn a_thin_ring_is_contact() {
+        let ring = ["........", "..####..", ".#....#.", ".#....#.", "..####..", "........"];
+        assert_eq!(seen(ring).len(), 12);
+        let arc = ["........", "..####..", ".#....#.", ".#....#.", "..#.....", "........"];
+        assert!(seen(arc).is_empty());
     }
 
     /// What the edge cuts goes on beyond it: of a strip one tile wide each has six of nine.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::gemm::{multiply, order, vectorised};
+use super::gemm::{Panels, order, vectorised};
 use super::kernel::{Data, Kernel};
 use super::packs::Pack;
 use super::winograd::Winograd;
@@ -56,7 +56,7 @@ impl MapShape {
 
 #[derive(Debug)]
 enum Algorithm {
-    /// Weights `[kh, kw, I, O]`.
+    /// Weights in [`Panels`], their inputs in the order `[kh, kw, I]`.
     Im2col(Arc<Vec<f32>>),
     Winograd(Winograd),
 }
@@ -120,6 +120,7 @@ impl Convolution {
     fn im2col(&self, weight: &[f32], input: &[f32], residual: Option<&[f32]>, output: &mut [f32]) {
         let MapShape { out_c, .. } = self.shape;
         let (pixels, terms) = (self.shape.pixels(), self.shape.terms());
+        let weight = Panels::of(weight, out_c, terms);
         let residual = |first: usize, count: usize| {
             residual.map(|r| &r[first * out_c..(first + count) * out_c])
         };
@@ -136,7 +137,7 @@ impl Convolution {
                         self.gather(input, first, &mut columns[..count * terms]);
                         &columns[..count * terms]
                     };
-                    multiply(sums, weight, out_c, rows, [out_c, count, terms]);
+                    weight.multiply(sums, rows, count);
                     vectorised(|| {
                         self.epilogue_of(output, sums, 0, out_c, residual(first, count));
                     });
@@ -156,17 +157,11 @@ impl Convolution {
             columns
         };
         let rows = if self.is_pointwise() { input } else { &columns };
-        // Each thread reads its own weights alone.
-        let part = out_c.div_ceil(rayon::current_num_threads()).next_multiple_of(16);
-        let mut sums = vec![0.0; pixels * out_c];
-        sums.par_chunks_mut(pixels * part).enumerate().for_each(|(i, sums)| {
-            let (first, count) = (i * part, sums.len() / pixels);
-            multiply(sums, &weight[first..], out_c, rows, [count, pixels, terms]);
-        });
+        let parts = weight.shared(rows, pixels);
         vectorised(|| {
-            for (i, sums) in sums.chunks(pixels * part).enumerate() {
+            for (first, sums) in &parts {
                 let count = sums.len() / pixels;
-                self.epilogue_of(output, sums, i * part, count, residual(0, pixels));
+                self.epilogue_of(output, sums, *first, count, residual(0, pixels));
             }
         });
     }
@@ -195,14 +190,24 @@ impl Convolution {
         let Conv2d { stride, padding, dilation, .. } = self.op;
         for (i, column) in columns.chunks_exact_mut(self.shape.terms()).enumerate() {
             let (oy, ox) = ((first + i) / out_w, (first + i) % out_w);
-            for (tap, to) in column.chunks_exact_mut(in_c).enumerate() {
-                let (ky, kx) = (tap / kw, tap % kw);
+            for (ky, row) in column.chunks_exact_mut(kw * in_c).enumerate() {
                 // Wraps below zero to a large number, so that one comparison finds both sides.
                 let y = (oy * stride + ky * dilation).wrapping_sub(padding);
-                let x = (ox * stride + kx * dilation).wrapping_sub(padding);
-                match y < in_h && x < in_w {
-                    true => to.copy_from_slice(&input[(y * in_w + x) * in_c..][..in_c]),
-                    false => to.fill(0.0),
+                let x = |kx: usize| (ox * stride + kx * dilation).wrapping_sub(padding);
+                if y >= in_h {
+                    row.fill(0.0);
+                    continue;
+                }
+                let line = &input[y * in_w * in_c..][..in_w * in_c];
+                if dilation == 1 && x(0) < in_w && x(0) + kw <= in_w {
+                    row.copy_from_slice(&line[x(0) * in_c..][..kw * in_c]);
+                    continue;
+                }
+                for (kx, to) in row.chunks_exact_mut(in_c).enumerate() {
+                    match x(kx) < in_w {
+                        true => to.copy_from_slice(&line[x(kx) * in_c..][..in_c]),
+                        false => to.fill(0.0),
+                    }
                 }
             }
             debug_assert_eq!(column.len(), kh * kw * in_c);
@@ -210,16 +215,15 @@ impl Convolution {
     }
 }
 
-/// `[O, I, kh, kw]` to `[kh, kw, I, O]`.
+/// Packs `[O, I, kh, kw]`, with the inputs of an output in the order `[kh, kw, I]`.
 fn channels_last(weight: &Tensor) -> Vec<f32> {
-    let [out_c, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
+    let [_, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
     let taps = kh * kw;
-    let mut packed = Vec::with_capacity(weight.data().len());
-    for tap in 0..taps {
-        for i in 0..in_c {
-            packed.extend((0..out_c).map(|o| weight.data()[(o * in_c + i) * taps + tap]));
-        }
-    }
+    let mut packed = vec![0.0; weight.data().len()];
+    Panels::fill(&mut packed, in_c * taps, |o, k| {
+        let (tap, i) = (k / in_c, k % in_c);
+        weight.data()[(o * in_c + i) * taps + tap]
+    });
     packed
 }
 

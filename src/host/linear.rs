@@ -2,9 +2,7 @@
 
 use std::sync::Arc;
 
-use rayon::prelude::*;
-
-use super::gemm::{multiply, order};
+use super::gemm::{Panels, order};
 use super::kernel::{Data, Kernel, Layout, map_sizes};
 use super::packs::Pack;
 use crate::cpu;
@@ -13,7 +11,7 @@ use crate::ops::bounds::magnitude;
 use crate::shape::TensorSpec;
 use crate::tensor::{Tensor, Value};
 
-/// Weights `[K, O]`, where K is in the order of channels-last maps.
+/// Weights in [`Panels`], whose inputs are in the order of channels-last maps.
 #[derive(Debug)]
 pub(super) struct FullyConnected {
     op: Linear,
@@ -36,13 +34,11 @@ impl FullyConnected {
             _ => (Layout::Planar, inner, 1),
         };
         let channels_last = || {
-            let mut packed = Vec::with_capacity(outputs * inner);
-            for pixel in 0..pixels {
-                for channel in 0..channels {
-                    let k = channel * pixels + pixel;
-                    packed.extend((0..outputs).map(|o| weight.data()[o * inner + k]));
-                }
-            }
+            let mut packed = vec![0.0; outputs * inner];
+            Panels::fill(&mut packed, inner, |o, k| {
+                let (pixel, channel) = (k / channels, k % channels);
+                weight.data()[o * inner + channel * pixels + pixel]
+            });
             packed
         };
         let packed = pack.get("linear", channels_last);
@@ -80,18 +76,10 @@ impl Kernel for FullyConnected {
         let outputs_a_row = self.bias.len();
         let inner = self.weight.len() / outputs_a_row;
         let input = &input[..rows * inner];
-        // Each thread reads its own weights alone.
-        let part = outputs_a_row.div_ceil(rayon::current_num_threads()).next_multiple_of(16);
-        let mut sums = vec![0.0; rows * outputs_a_row];
-        sums.par_chunks_mut((rows * part).max(1)).enumerate().for_each(|(i, sums)| {
-            let count = sums.len() / rows;
-            let weight = &self.weight[i * part..];
-            multiply(sums, weight, outputs_a_row, input, [count, rows, inner]);
-        });
-        for (i, sums) in sums.chunks((rows * part).max(1)).enumerate() {
-            let (first, count) = (i * part, sums.len() / rows);
+        for (first, sums) in Panels::of(&self.weight, outputs_a_row, inner).shared(input, rows) {
+            let count = sums.len() / rows.max(1);
             let bias = &self.bias[first..][..count];
-            for (row, sums) in sums.chunks_exact(count).enumerate() {
+            for (row, sums) in sums.chunks_exact(count.max(1)).enumerate() {
                 let to = &mut outputs[0][row * outputs_a_row + first..][..count];
                 for ((to, sum), bias) in to.iter_mut().zip(sums).zip(bias) {
                     let value = sum + bias;

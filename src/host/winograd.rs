@@ -11,7 +11,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::conv2d::{Epilogue, MapShape};
-use super::gemm::{multiply, order, vectorised};
+use super::gemm::{Panels, order, vectorised};
 use super::packs::Pack;
 use crate::ops::Conv2d;
 use crate::ops::winograd::{IN, OUT, POINTS, error_bound, point_weight};
@@ -31,11 +31,9 @@ fn transformed(shape: MapShape, weight: &Tensor) -> Vec<f32> {
     let MapShape { in_c, out_c, .. } = shape;
     let mut packed = vec![0.0; POINTS * in_c * out_c];
     packed.par_chunks_mut(in_c * out_c).enumerate().for_each(|(point, packed)| {
-        for (at, to) in packed.iter_mut().enumerate() {
-            let (i, o) = (at / out_c, at % out_c);
-            let taps = &weight.data()[(o * in_c + i) * 9..][..9];
-            *to = point_weight(taps, point);
-        }
+        Panels::fill(packed, in_c, |o, i| {
+            point_weight(&weight.data()[(o * in_c + i) * 9..][..9], point)
+        });
     });
     packed
 }
@@ -44,7 +42,7 @@ fn transformed(shape: MapShape, weight: &Tensor) -> Vec<f32> {
 #[derive(Debug)]
 pub(super) struct Winograd {
     shape: MapShape,
-    /// G g Gᵀ of each point, `[36, I, O]`.
+    /// G g Gᵀ of each of the 36 points, in [`Panels`].
     weight: Arc<Vec<f32>>,
 }
 
@@ -71,7 +69,7 @@ impl Winograd {
         residual: Option<&Tensor>,
     ) -> Vec<f64> {
         let MapShape { in_c, out_c, .. } = self.shape;
-        let weight = |point, i, o| self.weight[(point * in_c + i) * out_c + o];
+        let weight = |point, i, o| self.of_point(point).at(o, i);
         error_bound(input, out_c, weight, bias, residual, order(in_c))
     }
 
@@ -113,7 +111,7 @@ impl Winograd {
                         .zip(points.chunks_exact(count * in_c))
                         .enumerate()
                     {
-                        self.multiply(point, sums, points, count);
+                        self.of_point(point).multiply(sums, points, count);
                     }
                     let above = index * rows * OUT * out_w * out_c;
                     let residual = residual.map(|r| &r[above..above + output.len()]);
@@ -137,7 +135,7 @@ impl Winograd {
                 for (to, from) in points.chunks_exact_mut(in_c).zip(from) {
                     to.copy_from_slice(&from[point * in_c..][..in_c]);
                 }
-                self.multiply(point, sums, points, tiles);
+                self.of_point(point).multiply(sums, points, tiles);
             },
         );
         output.par_chunks_mut(OUT * out_w * out_c).enumerate().for_each(|(row, output)| {
@@ -150,10 +148,9 @@ impl Winograd {
         });
     }
 
-    fn multiply(&self, point: usize, sums: &mut [f32], points: &[f32], tiles: usize) {
+    fn of_point(&self, point: usize) -> Panels<'_> {
         let MapShape { in_c, out_c, .. } = self.shape;
-        let weight = &self.weight[point * in_c * out_c..][..in_c * out_c];
-        multiply(sums, weight, out_c, points, [out_c, tiles, in_c]);
+        Panels::of(&self.weight[point * in_c * out_c..], out_c, in_c)
     }
 
     /// Bᵀ d B of `tile`, written as tile `to` of `count` in `points` `[36, count, I]`.

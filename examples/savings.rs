@@ -12,8 +12,8 @@
 //! overlap with the labels, where a miss counts 0, the centre error and the shift of the centres against the
 //! whole network's, both medians, the shift's 95th percentile too; then shares of the pictures without
 //! contact, and of those of which parts were looked at. A second table has the time of each way by what
-//! pictures show: each folder, those with one snap or several, and those with one snap of which parts were
-//! looked at; a third the stages of the last. Then the snaps that each way loses.
+//! pictures show: each folder, those with one snap or several, and those with one snap of which parts, or one
+//! part, were looked at; a third the stages of the last. Then the snaps that each way loses.
 
 mod labelled;
 
@@ -78,7 +78,8 @@ struct Way {
 struct Look {
     ms: f64,
     untouched: bool,
-    in_parts: bool,
+    /// How many parts were looked at; `None` for the whole.
+    parts: Option<usize>,
     /// Milliseconds of each stage.
     stages: Vec<(String, f64)>,
 }
@@ -90,7 +91,7 @@ impl Look {
         Self {
             ms: ms(found.wall),
             untouched: found.contact == Some(false),
-            in_parts: found.regions.is_some(),
+            parts: found.regions.as_ref().map(Vec::len),
             stages: found.stages.iter().map(stage).collect(),
         }
     }
@@ -139,7 +140,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let base = if args.beside.is_some() { ways.len() - 1 } else { 0 };
     let mut truths = Vec::new();
-    let names = ["one snap", "several snaps", "one snap, in parts"];
+    let names = ["one snap", "several snaps", "one snap, in parts", "one snap, in one part"];
     let mut groups: Vec<Group> = names.into_iter().map(Group::new).collect();
     for folder in &args.folders {
         groups.push(Group::new(&folder.file_name().unwrap_or_default().to_string_lossy()));
@@ -148,15 +149,15 @@ fn main() -> Result<(), Box<dyn Error>> {
             let number = ways[0].looks.len();
             let before = truths.len();
             look(&mut ways, folder, picture, &data, &mut truths, args.once)?;
-            let in_parts = ways.iter().any(|way| way.looks[number].in_parts);
-            match truths.len() - before {
-                0 => {}
-                1 => groups[0].pictures.push(number),
-                _ => groups[1].pictures.push(number),
-            }
-            if truths.len() - before == 1 && in_parts {
-                groups[2].pictures.push(number);
-            }
+            let parts = ways.iter().find_map(|way| way.looks[number].parts);
+            let shows: &[usize] = match (truths.len() - before, parts) {
+                (0, _) => &[],
+                (1, None) => &[0],
+                (1, Some(1)) => &[0, 2, 3],
+                (1, Some(_)) => &[0, 2],
+                _ => &[1],
+            };
+            shows.iter().for_each(|group| groups[*group].pictures.push(number));
             if let Some(own) = groups.last_mut() {
                 own.pictures.push(number);
             }
@@ -164,7 +165,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     print(&ways, &truths, base);
     print_groups(&ways, &groups, base);
-    print_stages(&ways, &groups[2]);
+    print_stages(&ways, &groups[3]);
     print_lost(&ways, &truths);
     Ok(())
 }
@@ -234,7 +235,7 @@ fn print(ways: &[Way], truths: &[Truth], base: usize) {
             way.name,
             median(ratios),
             share(|look| look.untouched),
-            share(|look| look.in_parts),
+            share(|look| look.parts.is_some()),
             found().count(),
             100.0 * overlap / way.snaps.len().max(1) as f64,
             median(errors),

@@ -39,9 +39,9 @@ impl Scene {
         contact: false,
         regions: false,
         proposals: false,
-        margin_mm: 3.0,
+        margin_mm: 1.0,
         most_of_input: 0.8,
-        objectness: 0.02,
+        objectness: 0.01,
     };
     /// All that can be left out is.
     pub const SAVING: Self = Self { contact: true, regions: true, proposals: true, ..Self::FULL };
@@ -103,8 +103,8 @@ impl Scene {
 }
 
 impl Default for Scene {
-    /// Each saving may cost a snap: nothing is left out unasked.
+    /// What lost none of 2003 labelled snaps: `contact`. The others may cost one, and are for those who ask.
     fn default() -> Self {
-        Self::FULL
+        Self { contact: true, ..Self::FULL }
     }
 }

@@ -129,7 +129,7 @@ fn words(@builtin(local_invocation_index) lane: u32) {
     let most = limit(workgroupUniformLoad(&chosen));
     for (var at = lane; at * 32u < params.tiles; at += LANES) {
         var word = 0u;
-        for (var bit = 0u; bit < min(32u, params.tiles - at * 32u); bit++) {
+        for (var bit = 0u; bit < min(32u + params.zero, params.tiles - at * 32u); bit++) {
             if of_tile[at * 32u + bit] > most {
                 word |= 1u << bit;
             }

@@ -63,7 +63,7 @@ fn main(
         }
     }
     let to = y * params.width + x;
-    for (var i = 0u; i < min(8u, params.width - x); i++) {
+    for (var i = 0u; i < min(8u + params.zero, params.width - x); i++) {
         output[to + i] = sigmoid(select(left[i & 3u], right[i & 3u], i >= 4u));
     }
 }

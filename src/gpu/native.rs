@@ -31,15 +31,17 @@ impl Loss {
     }
 }
 
-/// Polls a device: `wgpu` ends the thread where the driver says that the device is lost.
+/// Polls a device. `wgpu` ends the thread where the driver says that the device is lost; wgpu-core 30 also
+/// where a wait runs out just as another thread sees the queue empty, so a poll is tried twice.
 pub(super) fn poll(
     device: &wgpu::Device,
     how: wgpu::PollType,
     loss: &Loss,
 ) -> Result<(), wgpu::PollError> {
-    match catch_unwind(AssertUnwindSafe(|| device.poll(how))) {
-        Ok(told) => told.map(|_| ()),
-        Err(_) => {
+    let polled = || catch_unwind(AssertUnwindSafe(|| device.poll(how.clone()))).ok();
+    match polled().or_else(polled) {
+        Some(told) => told.map(|_| ()),
+        None => {
             loss.tell("the driver failed while it was waited for".into());
             Ok(())
         }

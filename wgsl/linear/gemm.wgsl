@@ -143,7 +143,7 @@ fn partial(
         sums.a[3], sums.b[3], sums.c[3], sums.d[3],
     );
     // Bounds that compilers do not see: unrolled, the stores would take long to compile.
-    let used = min(ROWS, rows - first_row);
+    let used = min(ROWS + params.zero, rows - first_row);
     let row_width = params.tiles * tile_width;
     for (var output_index = 0u; output_index < 4u + params.zero; output_index++) {
         var to = (slice * params.rows + first_row) * row_width

@@ -60,7 +60,7 @@ fn store(picture: u32, roi: u32, bin: u32, quad: u32, value: vec4<f32>) {
         return;
     }
     let first = picture * params.output_stride + (roi * map.channels + 4u * quad) * bins + bin;
-    for (var i = 0u; i < min(4u, map.channels - 4u * quad); i++) {
+    for (var i = 0u; i < min(4u + map.zero, map.channels - 4u * quad); i++) {
         output[first + i * bins] = value[i];
     }
 }

@@ -308,14 +308,6 @@ const FAULTS: &[Fault] = &[
         by_hand: true,
     },
     Fault {
-        what: "room for 1023 hidden units",
-        file: "scale_weights",
-        changes: &[("CAPACITY: u32 = 1024u", "CAPACITY: u32 = 1023u")],
-        op: "scale_weights",
-        case: "the last of 1024 hidden units by hand",
-        by_hand: true,
-    },
-    Fault {
         what: "the deviations of width and height exchanged",
         file: "decode_detections",
         changes: &[
@@ -369,14 +361,6 @@ const FAULTS: &[Fault] = &[
         file: "channel_gate",
         changes: &[("dot + fc1_bias[row]", "dot - fc1_bias[row]")],
         op: "channel_gate",
-        case: "the first layer's bias by hand",
-        by_hand: true,
-    },
-    Fault {
-        what: "the first layer's bias subtracted",
-        file: "scale_weights",
-        changes: &[("dot + fc1_bias[row]", "dot - fc1_bias[row]")],
-        op: "scale_weights",
         case: "the first layer's bias by hand",
         by_hand: true,
     },

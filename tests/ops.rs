@@ -37,8 +37,6 @@ mod nms;
 mod not_finite;
 #[path = "ops/roi_align.rs"]
 mod roi_align;
-#[path = "ops/scale_weights.rs"]
-mod scale_weights;
 #[path = "ops/softmax.rs"]
 mod softmax;
 #[path = "ops/spatial_gate.rs"]

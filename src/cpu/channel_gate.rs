@@ -30,7 +30,7 @@ fn widen(x: &f32) -> f64 {
 }
 
 /// `weight · x + bias`, unrounded.
-pub(super) fn linear(x: &[f64], weight: &Tensor, bias: &Tensor) -> Vec<f64> {
+fn linear(x: &[f64], weight: &Tensor, bias: &Tensor) -> Vec<f64> {
     let rows = weight.data().chunks_exact(x.len());
     let dot = |row: &[f32]| row.iter().zip(x).map(|(w, x)| f64::from(*w) * x).sum::<f64>();
     rows.zip(bias.data()).map(|(row, b)| dot(row) + f64::from(*b)).collect()

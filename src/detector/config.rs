@@ -330,6 +330,7 @@ impl Config {
             max_detections: self.max_detections,
             class_mask,
             least_objectness: self.scene.least_objectness(self.score),
+            most_proposals: Thresholds::ALL.most_proposals,
         })
     }
 }

@@ -127,7 +127,9 @@ impl Engines {
         self.ready.get_or_build(kind, &self.building, || {
             let like = self.ready.last();
             let Kind { size, precision, batch } = kind;
-            let network = Network::new(self.weights.clone(), size, self.thresholds)?;
+            let most = self.config.scene.most_proposals(self.thresholds.most_proposals, size);
+            let thresholds = Thresholds { most_proposals: most, ..self.thresholds };
+            let network = Network::new(self.weights.clone(), size, thresholds)?;
             let on = self.gpu.as_ref().map(|gpu| On { gpu, precision, batch });
             let engine = Engine::new(&self.config, network, on, &self.choice, like.as_deref());
             pollster::block_on(engine)

@@ -3,6 +3,11 @@
 use crate::detector::Detections;
 use crate::error::{Error, Result};
 
+/// Height and width of an input that has all proposals: the paper's.
+const SHARED: [usize; 2] = [320; 2];
+/// Proposals that the RoI head's kernels take together.
+const TOGETHER: usize = 16;
+
 /// What is left out where a picture does not need it, each saving for itself. A picture gets the same
 /// answer however busy the machine is: only what it shows decides.
 ///
@@ -21,7 +26,8 @@ pub struct Scene {
     /// make up at most `most_of_input` of its input; else at the whole.
     pub regions: bool,
     /// Proposals whose objectness is at most `objectness` of the score that is asked for do not reach the
-    /// network's last part.
+    /// network's last part, nor of an input of less than 320 × 320 pixels more than its share of the 100 that
+    /// such a one has, in whole sixteens.
     pub proposals: bool,
     /// Gel round a contact that the network sees, in millimetres; from 0 to 60. What counts as contact reaches
     /// up to 2 mm past what touches.
@@ -68,7 +74,9 @@ impl Scene {
         }
         if self.proposals {
             let share = self.objectness;
-            left.push(format!("proposals: objectness of at most {share} of the asked-for score"));
+            left.push(format!(
+                "proposals: objectness of at most {share} of the asked-for score, or beyond a part's share"
+            ));
         }
         left
     }
@@ -81,6 +89,15 @@ impl Scene {
     /// What the objectness of a proposal must be above where detections must be above `score`.
     pub(super) fn least_objectness(&self, score: f32) -> f32 {
         if self.proposals { self.objectness * score } else { f32::NEG_INFINITY }
+    }
+
+    /// How many of `most` proposals reach the last part, of an input of this height and width.
+    pub(super) fn most_proposals(&self, most: usize, [height, width]: [usize; 2]) -> usize {
+        if !self.proposals {
+            return most;
+        }
+        let share = (most * height * width).div_ceil(SHARED[0] * SHARED[1]);
+        share.next_multiple_of(TOGETHER).min(most)
     }
 
     /// # Errors
@@ -106,5 +123,19 @@ impl Default for Scene {
     /// What lost none of 2003 labelled snaps: `contact`. The others may cost one, and are for those who ask.
     fn default() -> Self {
         Self { contact: true, ..Self::FULL }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_has_its_share_of_the_proposals_in_whole_sixteens() {
+        let (all, saving) = (Scene::FULL, Scene::SAVING);
+        // 100 · 96² / 320² is 9, 100 · 160² / 320² is 25, 100 · 160 · 256 / 320² is 40.
+        let sizes = [[96, 96], [160, 160], [256, 160], [320, 320], [640, 320]];
+        assert_eq!(sizes.map(|size| saving.most_proposals(100, size)), [16, 32, 48, 100, 100]);
+        assert_eq!(sizes.map(|size| all.most_proposals(100, size)), [100; 5]);
     }
 }

@@ -8,6 +8,7 @@ use super::packs::Pack;
 use crate::cpu;
 use crate::ops::Linear;
 use crate::ops::bounds::magnitude;
+use crate::ops::linear::rows;
 use crate::shape::TensorSpec;
 use crate::tensor::{Tensor, Value};
 
@@ -42,7 +43,7 @@ impl FullyConnected {
             packed
         };
         let packed = pack.get("linear", channels_last);
-        let rows = input.shape.0[0];
+        let rows = rows(&input.shape);
         Self { op, rows, layout, weight: packed, bias: bias.data().to_vec() }
     }
 }

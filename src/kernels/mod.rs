@@ -30,7 +30,6 @@ mod nms;
 mod not_finite;
 mod roi_align;
 pub(crate) mod roof;
-mod scale_weights;
 mod softmax;
 mod spatial_gate;
 mod spatial_pool;
@@ -227,7 +226,6 @@ static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
     ("nms", &[&nms::Planar]),
     ("not_finite", &[&not_finite::Planar]),
     ("roi_align", &[&roi_align::Quads, &roi_align::PLANAR]),
-    ("scale_weights", &[&scale_weights::PLANAR]),
     ("softmax", &[&softmax::PLANAR]),
     ("spatial_gate", &[&spatial_gate::PLANAR]),
     ("spatial_pool", &[&spatial_pool::Quads, &spatial_pool::PLANAR]),

@@ -4,6 +4,7 @@ use crate::error::Result;
 use crate::kernels::count::{count_tensor, row_grid};
 use crate::kernels::{Dispatch, Io, Plain, Recording, Work};
 use crate::ops::Softmax;
+use crate::ops::softmax::rows_and_columns;
 use crate::shader::{Shader, shader_params};
 
 shader_params! {
@@ -26,7 +27,7 @@ pub(super) static PLANAR: Plain = Plain { id: "softmax/planar", shader: &SHADER,
 
 fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {
     let op: &Softmax = work.op()?;
-    let [rows, columns] = [0, 1].map(|i| recording.dims(inputs[0])[i]);
+    let [rows, columns] = rows_and_columns(&work.inputs[0].shape);
     let given = inputs.get(1).copied();
     let count = count_tensor(recording, given, rows);
     let grid = row_grid(recording, given, rows, [LANES as usize, 1], LANES)?;

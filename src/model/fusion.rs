@@ -5,7 +5,7 @@ use crate::graph::{Graph, TensorId};
 use crate::model::cbam::cbam;
 use crate::model::layers::{conv_bn, convolve};
 use crate::model::weights::{Folded, Weights};
-use crate::ops::{Conv2d, GlobalAvgPool, ScaleWeights, UpsampleBilinear, WeightedSum};
+use crate::ops::{Conv2d, GlobalAvgPool, Linear, Softmax, UpsampleBilinear, WeightedSum};
 use crate::shape::TensorSpec;
 use crate::tensor::Tensor;
 
@@ -82,15 +82,17 @@ fn scale_weights(graph: &mut Graph, weights: &mut Weights, maps: &[TensorId]) ->
     let fc1_bias = Tensor::from_fn([reduced], |i| bias[i] as f32);
     weights.check_finite("reweight.fc1.weight", &fc1_weight)?;
     weights.check_finite("reweight.fc1.bias", &fc1_bias)?;
-    let pooled = graph.apply1("reweight.pool", GlobalAvgPool { maps: 3 }, maps)?;
-    let inputs = [
-        pooled,
-        graph.constant("reweight.fc1.weight", fc1_weight),
-        graph.constant("reweight.fc1.bias", fc1_bias),
-        graph.constant("reweight.fc2.weight", fc2.weight),
-        graph.constant("reweight.fc2.bias", fc2.bias),
+    let mut x = graph.apply1("reweight.pool", GlobalAvgPool { maps: 3 }, maps)?;
+    let layers = [
+        ("reweight.fc1", Folded { weight: fc1_weight.into(), bias: fc1_bias.into() }, true),
+        ("reweight.fc2", fc2, false),
     ];
-    graph.apply1("reweight.weights", ScaleWeights, &inputs)
+    for (name, Folded { weight, bias }, relu) in layers {
+        let weight = graph.constant(format!("{name}.weight"), weight);
+        let bias = graph.constant(format!("{name}.bias"), bias);
+        x = graph.apply1(name, Linear { relu, count: false }, &[x, weight, bias])?;
+    }
+    graph.apply1("reweight.weights", Softmax::default(), &[x])
 }
 
 /// Without RW-Net: a 1×1 convolution of the concatenated scales to F channels, as the sum of one

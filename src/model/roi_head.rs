@@ -31,6 +31,8 @@ pub struct Thresholds {
     pub class_mask: u32,
     /// A proposal's objectness, from 0 to 1, must be above this; −∞ for all of them.
     pub least_objectness: f32,
+    /// At most so many proposals, the best, reach the RoI head.
+    pub most_proposals: usize,
 }
 
 impl Thresholds {
@@ -41,6 +43,7 @@ impl Thresholds {
         max_detections: 100,
         class_mask: u32::MAX,
         least_objectness: f32::NEG_INFINITY,
+        most_proposals: 100,
     };
 }
 

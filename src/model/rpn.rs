@@ -12,14 +12,12 @@ use crate::ops::{Conv2d, DecodeProposals, GatherRows, Nms, TopK};
 
 /// Proposals that enter the non-maximum suppression.
 const BEFORE_NMS: usize = 1000;
-/// Proposals that may leave it.
-pub(super) const AFTER_NMS: usize = 100;
 /// Intersection over union above which the lower of two proposals goes.
 const IOU: f32 = 0.7;
 /// Smallest side of a proposal, in pixels of the network's input.
 const MIN_SIZE: f32 = 1e-3;
 
-/// Boxes `[100, 4]` in pixels of the network's input, best first, and how many there are.
+/// Boxes `[N, 4]` in pixels of the network's input, best first, and how many there are.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Proposals {
     pub boxes: TensorId,
@@ -54,7 +52,7 @@ pub(super) fn rpn(
     let decoded = graph.apply("rpn.decode", decode, &[deltas, logits, indices, count])?;
     let nms = Nms {
         iou_threshold: IOU,
-        max_out: AFTER_NMS,
+        max_out: thresholds.most_proposals,
         min_score: thresholds.least_objectness,
         min_size: MIN_SIZE,
         sorted: true,

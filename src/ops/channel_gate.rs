@@ -20,7 +20,7 @@ pub static ENTRY: Entry = Entry {
 };
 
 /// Invocations that share the columns of a row of the first layer.
-pub(super) const LANES: usize = 16;
+const LANES: usize = 16;
 
 /// CBAM's channel gate: `sigmoid(f(average) + f(maximum))`, `f(x) = fc2(relu(fc1(x)))`.
 ///
@@ -101,7 +101,7 @@ impl Op for ChannelGate {
 }
 
 /// The five tensors of an MLP.
-pub(super) fn f32s<'a>(inputs: &[&'a Value]) -> Result<[&'a Tensor; 5]> {
+fn f32s<'a>(inputs: &[&'a Value]) -> Result<[&'a Tensor; 5]> {
     Ok([inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?, inputs[3].f32()?, inputs[4].f32()?])
 }
 

@@ -9,14 +9,14 @@ use crate::ops::case::{
 use crate::ops::count::{expect_count, live};
 use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
-use crate::shape::{DType, TensorSpec};
+use crate::shape::{DType, Shape, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "linear",
-    takes: "input [N, K], weight [O, K], bias [O]; optional: count u32 [1]",
-    gives: "output [N, O]",
+    takes: "input [N, K] or [K], weight [O, K], bias [O]; optional: count u32 [1]",
+    gives: "output [N, O] or [O]",
     params: &[Param::optional("relu", "false", Range::Flag)],
     build,
     cases,
@@ -29,9 +29,9 @@ const MIN_SLICE: usize = 16;
 
 /// PyTorch's `linear`, then ReLU if `relu`, on the rows below the count.
 ///
-/// Inputs: `input` f32 `[R, …]`, K elements a row; `weight` f32 `[O, K]` and `bias` f32 `[O]`, known
-/// when recording; `count` u32 `[1]` if `count`. Output: `output` f32 `[R, O]`; rows behind the count
-/// are not written.
+/// Inputs: `input` f32 `[R, …]`, K elements a row, or `[K]`, one row; `weight` f32 `[O, K]` and `bias` f32 `[O]`, known
+/// when recording; `count` u32 `[1]` if `count`. Output: `output` f32 `[R, O]`, or `[O]`; rows behind the
+/// count are not written.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Linear {
     /// Whether a ReLU comes last.
@@ -63,19 +63,23 @@ impl Op for Linear {
         let name = self.name();
         let [outputs, inner] = dims(name, "weight", &inputs[1], DType::F32)?;
         let shape = &inputs[0].shape;
-        let fits = shape.rank() >= 2 && shape.0[1..].iter().product::<usize>() == inner;
+        let fits = shape.elements() == rows(shape) * inner;
         if !fits || shape.elements() == 0 || outputs == 0 || inputs[0].dtype != DType::F32 {
-            let expected = format!("f32 [R, …] with {inner} elements a row, none zero");
+            let expected =
+                format!("f32 [{inner}], or [R, …] with {inner} elements a row, none zero");
             return Err(Error::tensor(name, "input", expected, &inputs[0]));
         }
         expect(name, "bias", &TensorSpec::f32([outputs]), &inputs[2])?;
         expect_count(name, inputs.get(3))?;
-        Ok(vec![TensorSpec::f32([shape.0[0], outputs])])
+        Ok(vec![match shape.rank() {
+            1 => TensorSpec::f32([outputs]),
+            _ => TensorSpec::f32([shape.0[0], outputs]),
+        }])
     }
 
     fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let (input, weight, bias) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);
-        let rows = live(inputs.get(3).copied(), input.dims()[0])?;
+        let rows = live(inputs.get(3).copied(), rows(input.shape()))?;
         let mut output = cpu::linear(input, weight, bias, rows, self.relu).into_data();
         output.resize(specs[0].shape.elements(), 0.0);
         Ok(vec![Tensor::new(specs[0].shape.clone(), output)?.into()])
@@ -84,7 +88,7 @@ impl Op for Linear {
     /// The shader sums the products of each slice, then the slices and the bias.
     fn tolerance(&self, inputs: &[&Value], reference: &[Value]) -> Result<Vec<Tolerance>> {
         let (input, weight) = (magnitude(inputs[0])?, magnitude(inputs[1])?);
-        let rows = live(inputs.get(3).copied(), input.dims()[0])?;
+        let rows = live(inputs.get(3).copied(), rows(input.shape()))?;
         let sums = cpu::linear(&input, &weight, &magnitude(inputs[2])?, rows, false);
         let (slices, slice_quads) = slices(weight.dims()[1]);
         let order =
@@ -105,9 +109,15 @@ impl Op for Linear {
 
     fn defined(&self, reference: &[&Value], inputs: &[&Value]) -> Vec<usize> {
         let shape = reference[0].spec().shape;
-        let rows = live(inputs.get(3).copied(), shape.0[0]).unwrap_or(0);
-        vec![rows * shape.0[1]]
+        let all = rows(&shape);
+        let counted = live(inputs.get(3).copied(), all).unwrap_or(0);
+        vec![counted * (shape.elements() / all)]
     }
+}
+
+/// How many rows an input or an output has: a vector is one.
+pub(crate) fn rows(shape: &Shape) -> usize {
+    if shape.rank() == 1 { 1 } else { shape.0.first().copied().unwrap_or(1) }
 }
 
 /// Into how many slices a row of `inner` inputs is cut, and how many vec4 each has at most.
@@ -135,6 +145,12 @@ fn cases() -> Vec<Case> {
         // 1 + 2 + 3 + 0.5; 2 − 4 + 0.75 − 1; −1 + 0.5 + 4 + 0.5; −2 − 1 + 1 − 1.
         Case::new("by hand", plain, by_hand())
             .by_hand(vec![values([2, 2], &[6.5, -2.25, 4.0, -3.0])]),
+        Case::new("a vector by hand", plain, {
+            let mut inputs = by_hand();
+            inputs[0] = values([3], &[-1.0, 0.5, 4.0]);
+            inputs
+        })
+        .by_hand(vec![values([2], &[4.0, -3.0])]),
         Case::new("ReLU and one row counted by hand", counted, {
             let mut inputs = by_hand();
             inputs.push(integers([1], &[1]));
@@ -179,12 +195,14 @@ fn cases() -> Vec<Case> {
         ("nothing counted", vec![5, 10], 4, Some(0), false),
         ("counted above all", vec![5, 12], 6, Some(u32::MAX), false),
         ("a grid folded to two dimensions", vec![524_289, 1], 1, None, false),
+        ("a vector", vec![61], 37, None, true),
+        ("a vector, not counted", vec![12], 5, Some(0), false),
     ];
     for (seed, (name, shape, outputs, count, relu)) in sets.into_iter().enumerate() {
         let seed = seed as u64 * 10;
-        let inner = shape[1..].iter().product();
+        let inner = shape.iter().product::<usize>() / rows(&Shape(shape.clone()));
         let mut inputs: Vec<Value> = vec![
-            random(seed, crate::shape::Shape(shape)).into(),
+            random(seed, Shape(shape)).into(),
             random(seed + 1, [outputs, inner]).into(),
             random(seed + 2, [outputs]).into(),
         ];
@@ -220,18 +238,23 @@ fn cases() -> Vec<Case> {
         (vec![100, 512], 3, false),
         (vec![100, 512], 12, false),
         (vec![100, 512], 6, false),
+        (vec![768], 64, true),
+        (vec![64], 3, false),
     ];
     for (i, (shape, outputs, relu)) in layers.into_iter().enumerate() {
         let seed = 1000 + i as u64 * 10;
-        let inner = shape[1..].iter().product();
-        let inputs = vec![
-            one_way(seed, crate::shape::Shape(shape)).into(),
+        let shape = Shape(shape);
+        let each = rows(&shape);
+        let inner = shape.elements() / each;
+        let mut inputs = vec![
+            one_way(seed, shape).into(),
             one_way(seed + 1, [outputs, inner]).into(),
             one_way_sum(seed + 2, [outputs], inner),
-            integers([1], &[100]),
         ];
-        let name = format!("{inner} to {outputs}, as the RoI head");
-        cases.push(Case::new(name, Linear { relu, count: true }, inputs).in_network());
+        let (count, of) = (each > 1, if each > 1 { "RoI head" } else { "weights of the scales" });
+        inputs.extend(count.then(|| integers([1], &[each as u32])));
+        let name = format!("{inner} to {outputs}, as the {of}");
+        cases.push(Case::new(name, Linear { relu, count }, inputs).in_network());
     }
     cases
 }

@@ -27,8 +27,7 @@ mod max_pool2d;
 pub(crate) mod nms;
 pub(crate) mod not_finite;
 mod roi_align;
-mod scale_weights;
-mod softmax;
+pub(crate) mod softmax;
 mod spatial_gate;
 mod spatial_pool;
 pub(crate) mod top_k;
@@ -58,7 +57,6 @@ pub use not_finite::NotFinite;
 pub use op::{Entry, Op, Tolerance};
 pub use params::{Param, Params, Range, Setting, Settings};
 pub use roi_align::RoiAlign;
-pub use scale_weights::ScaleWeights;
 pub use softmax::Softmax;
 pub use spatial_gate::SpatialGate;
 pub use spatial_pool::SpatialPool;
@@ -85,7 +83,6 @@ pub static OPS: &[&Entry] = &[
     &nms::ENTRY,
     &not_finite::ENTRY,
     &roi_align::ENTRY,
-    &scale_weights::ENTRY,
     &softmax::ENTRY,
     &spatial_gate::ENTRY,
     &spatial_pool::ENTRY,

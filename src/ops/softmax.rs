@@ -4,16 +4,16 @@ use crate::cpu;
 use crate::error::{Error, Result};
 use crate::ops::case::{Case, integers, one_way, random, random_scaled, values};
 use crate::ops::count::{expect_count, live};
-use crate::ops::op::{EPS, Entry, Op, Tolerance, dims};
+use crate::ops::op::{EPS, Entry, Op, Tolerance};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
-use crate::shape::{DType, TensorSpec};
+use crate::shape::{DType, Shape, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "softmax",
-    takes: "input [N, C]; optional: count u32 [1]",
-    gives: "output [N, C]",
+    takes: "input [N, C] or [C]; optional: count u32 [1]",
+    gives: "output like input",
     params: &[Param::optional("temperature", "1", Range::Number(1e-3, 1e3))],
     build,
     cases,
@@ -21,8 +21,8 @@ pub static ENTRY: Entry = Entry {
 
 /// Softmax of input / temperature over the last dimension, with the row's maximum subtracted first.
 ///
-/// Inputs: `input` f32 `[R, N]`; `count` u32 `[1]` if `count`. Output: `output` f32 `[R, N]`; rows
-/// behind the count are not written.
+/// Inputs: `input` f32 `[R, N]` or `[N]`, one row; `count` u32 `[1]` if `count`. Output: `output` f32 like
+/// `input`; rows behind the count are not written.
 #[derive(Clone, Copy, Debug)]
 pub struct Softmax {
     /// What the input is divided by; 1 by default. A higher one makes the shares more even (Guo et al.,
@@ -58,9 +58,10 @@ impl Op for Softmax {
     }
 
     fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
-        let [rows, columns] = dims(self.name(), "input", &inputs[0], DType::F32)?;
-        if rows * columns == 0 {
-            let expected = "f32 [R, N] without a zero";
+        let shape = &inputs[0].shape;
+        let fits = matches!(shape.rank(), 1 | 2) && inputs[0].dtype == DType::F32;
+        if !fits || shape.elements() == 0 {
+            let expected = "f32 [R, N] or [N] without a zero";
             return Err(Error::tensor(self.name(), "input", expected, &inputs[0]));
         }
         expect_count(self.name(), inputs.get(1))?;
@@ -69,7 +70,7 @@ impl Op for Softmax {
 
     fn compute(&self, inputs: &[&Value], _specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let input = inputs[0].f32()?;
-        let [rows, columns] = [0, 1].map(|i| input.dims()[i]);
+        let [rows, columns] = rows_and_columns(input.shape());
         let rows = live(inputs.get(1).copied(), rows)?;
         let mut output = Tensor::zeros(input.shape().clone());
         let each = output.data_mut().chunks_exact_mut(columns).zip(input.data().chunks(columns));
@@ -86,7 +87,7 @@ impl Op for Softmax {
     /// reference rounds once.
     fn tolerance(&self, inputs: &[&Value], reference: &[Value]) -> Result<Vec<Tolerance>> {
         let (input, output) = (inputs[0].f32()?, reference[0].f32()?);
-        let columns = input.dims()[1];
+        let [_, columns] = rows_and_columns(input.shape());
         let rows = input.data().chunks(columns).zip(output.data().chunks(columns));
         let each = rows.flat_map(|(row, shares)| {
             let highest = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
@@ -106,9 +107,15 @@ impl Op for Softmax {
     }
 
     fn defined(&self, reference: &[&Value], inputs: &[&Value]) -> Vec<usize> {
-        let shape = reference[0].spec().shape;
-        vec![live(inputs.get(1).copied(), shape.0[0]).unwrap_or(0) * shape.0[1]]
+        let [rows, columns] = rows_and_columns(&reference[0].spec().shape);
+        vec![live(inputs.get(1).copied(), rows).unwrap_or(0) * columns]
     }
+}
+
+/// A vector is one row.
+pub(crate) fn rows_and_columns(shape: &Shape) -> [usize; 2] {
+    let columns = shape.0.last().copied().unwrap_or(1);
+    [shape.elements() / columns.max(1), columns]
 }
 
 fn build(params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {
@@ -123,6 +130,8 @@ fn cases() -> Vec<Case> {
     let mut cases = vec![
         Case::new("by hand", all, vec![values([2, 3], &[logs, [7.0; 3]].concat())])
             .by_hand(vec![values([2, 3], &[0.125, 0.25, 0.625, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0])]),
+        Case::new("a vector by hand", all, vec![values([3], &logs)])
+            .by_hand(vec![values([3], &[0.125, 0.25, 0.625])]),
         Case::new(
             "extremes by hand",
             all,
@@ -170,6 +179,7 @@ fn cases() -> Vec<Case> {
     input.data_mut().iter_mut().for_each(|x| *x *= 20.0);
     let warm = Softmax { temperature: 1.37, ..all };
     cases.push(Case::new("a temperature that rounds", warm, vec![input.into()]));
+    cases.push(Case::new("the scales", all, vec![one_way(1010, [3]).into()]).in_network());
     let inputs = vec![one_way(1000, [100, 3]).into(), integers([1], &[100])];
     cases.push(Case::new("the regions' classes", counted, inputs).in_network());
     cases

@@ -18,8 +18,8 @@ fn refuses_what_does_not_fit() {
     let text = |specs: [TensorSpec; 4]| op.infer(&specs).expect_err("an error").to_string();
     let message = text(specs(&[4, 5], 2, 1));
     assert!(message.contains("`input`") && message.contains("6 elements a row"), "{message}");
-    let message = text(specs(&[6], 2, 1));
-    assert!(message.contains("`input`"), "{message}");
+    let message = text(specs(&[5], 2, 1));
+    assert!(message.contains("`input`") && message.contains("f32 [6], or [R, …]"), "{message}");
     let message = text(specs(&[4, 2, 3], 3, 1));
     assert!(message.contains("`bias`") && message.contains("f32[2]"), "{message}");
     let message = text(specs(&[4, 2, 3], 2, 3));

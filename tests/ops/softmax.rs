@@ -11,8 +11,8 @@ fn shader_matches_reference_and_hand() {
 fn refuses_what_does_not_fit() {
     let op = Softmax { count: true, ..Softmax::default() };
     let text = |specs: &[TensorSpec]| op.infer(specs).expect_err("an error").to_string();
-    let message = text(&[TensorSpec::f32([3]), TensorSpec::u32([1])]);
-    assert!(message.contains("`input`") && message.contains("rank 2"), "{message}");
+    let message = text(&[TensorSpec::f32([3, 2, 1]), TensorSpec::u32([1])]);
+    assert!(message.contains("`input`") && message.contains("[R, N] or [N]"), "{message}");
     let message = text(&[TensorSpec::f32([3, 0]), TensorSpec::u32([1])]);
     assert!(message.contains("without a zero"), "{message}");
     let message = text(&[TensorSpec::f32([3, 2]), TensorSpec::f32([1])]);

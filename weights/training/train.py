@@ -14,6 +14,7 @@ import json
 import math
 import os
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,6 +34,7 @@ from metrics import detect_folder, figures, line
 from model import NETWORKS, Config, SmrNet, Variant
 
 WARMUP = 200  # steps
+LOOK_EVERY = 100  # steps between looks for new folders
 EMA_EVERY, EMA_DECAY = 4, 0.998
 # What a network takes over from another beside which it learns.
 SHARED = ("pixels_per_mm", "mean", "std", "anchor_sizes", "anchor_ratios")
@@ -124,6 +126,8 @@ class Run:
         self.device = "cuda" if torch.cuda.is_available() else "cpu"
         self.file = args.out / "checkpoint.pt"
         self.chunks: list[Chunk] = []
+        # Beside a step, the next one's views.
+        self.loader, self.ahead = ThreadPoolExecutor(1, "loader"), None
         state = torch.load(self.file, map_location=self.device, weights_only=True) if self.file.exists() else None
         init = weightfile.load(args.init) if args.init and state is None else None
         if state is None:
@@ -223,12 +227,19 @@ class Run:
         done = min(1.0, self.step / self.steps())
         return self.args.lr * min(1.0, (self.step + 1) / WARMUP) * 0.5 * (1 + math.cos(math.pi * done))
 
+    def load(self, step: int) -> Future[tuple[Tensor, list[dict]]]:
+        """A step's views, made from the folders at hand now."""
+        sampler = Sampler([*self.chunks], self.config.pixels_per_mm, self.args.area, self.args.seed)
+        return self.loader.submit(sampler.batch, step)
+
     def train_step(self) -> dict[str, float]:
-        began = time.process_time()
-        pixels, targets = Sampler(self.chunks, self.config.pixels_per_mm, self.args.area, self.args.seed).batch(self.step)
+        began = time.monotonic()
+        pixels, targets = (self.ahead or self.load(self.step)).result()
+        # New folders may come before such a step.
+        self.ahead = self.load(self.step + 1) if (self.step + 1) % LOOK_EVERY else None
+        loaded = time.monotonic()
         images = normalise(pixels, self.config.mean, self.config.std).to(self.device, memory_format=torch.channels_last)
         targets = [{k: v.to(self.device) for k, v in t.items()} for t in targets]
-        loaded = time.process_time()
         # The choice of anchors and proposals draws from torch's generator.
         torch.manual_seed(self.args.seed * 1_000_003 + self.step)
         losses, fused = detection_losses(self.learner.model, images, targets, self.learner.extra)
@@ -243,7 +254,7 @@ class Run:
         if self.step % EMA_EVERY == 0:
             for learner in self.learners():
                 learner.average(self.step)
-        timing = {"load_s": loaded - began, "cpu_s": time.process_time() - began}
+        timing = {"load_s": loaded - began, "step_s": time.monotonic() - began}
         return {**{k: v.item() for k, v in losses.items()}, **report, **timing}
 
     def learners(self) -> list[Learner]:
@@ -320,7 +331,7 @@ def main() -> None:
     clock = time.monotonic()
     while run.step < run.steps():
         recent.append(run.train_step())
-        if run.step % 100 == 0:
+        if run.step % LOOK_EVERY == 0:
             run.find_chunks()
         if run.step % 20 == 0:
             mean = {k: float(np.mean([r[k] for r in recent])) for k in recent[0]}

@@ -7,7 +7,7 @@ use crate::kernels::products::Lanes;
 use crate::kernels::weights::Packing;
 use crate::kernels::{Caps, Dispatch, Io, Kernel, MAX_WORKGROUPS, Recording, Work};
 use crate::ops::bounds::{magnitude, moved_sum};
-use crate::ops::linear::slices;
+use crate::ops::linear::{rows, slices};
 use crate::ops::{Linear, Op, Tolerance};
 use crate::precision::{Precision, weight_errors};
 use crate::shader::{Shader, Variant, shader_params};
@@ -130,7 +130,7 @@ impl Kernel for Gemm {
         let plan = Plan::of(work).ok_or_else(none)?;
         let Plan { tile, tiles, slices, slice_quads, texels: [width, height], .. } = plan;
         let name = recording.info(inputs[1]).name.clone();
-        let rows = recording.dims(inputs[0])[0];
+        let rows = rows(&work.inputs[0].shape);
         let padded = tiles * tile;
 
         let weight = recording.weights(op.name(), inputs[1])?;
@@ -200,7 +200,7 @@ impl Kernel for Gemm {
 fn moved(inputs: &[&Value]) -> Result<Vec<f64>> {
     let rounded = weight_errors(inputs[1].f32()?);
     let (input, none) = (magnitude(inputs[0])?, Tensor::zeros([rounded.dims()[0]]));
-    let rows = input.dims()[0];
+    let rows = rows(input.shape());
     let moved = cpu::linear(&input, &rounded, &none, rows, false);
     Ok(moved.data().iter().map(|m| moved_sum(f64::from(*m))).collect())
 }

@@ -3,7 +3,7 @@
 use crate::error::Result;
 use crate::kernels::count::{count_tensor, row_grid};
 use crate::kernels::{Caps, Dispatch, Grid, Io, Kernel, Recording, Work};
-use crate::ops::linear::slices;
+use crate::ops::linear::{rows, slices};
 use crate::ops::{Linear, Op};
 use crate::shader::{Shader, Variant, shader_params};
 use crate::shape::TensorSpec;
@@ -52,7 +52,7 @@ impl Kernel for Planar {
         let weight = recording.weights(op.name(), inputs[1])?;
         let bias = recording.weights(op.name(), inputs[2])?;
         let [outs, inner] = [0, 1].map(|i| weight.spec().shape.0[i]);
-        let rows = recording.dims(inputs[0])[0];
+        let rows = rows(&work.inputs[0].shape);
         let quads = outs.div_ceil(4);
         let inner_quads = inner.div_ceil(4);
         let (slices, slice_quads) = slices(inner);

@@ -46,9 +46,12 @@ struct Args {
     /// Of the ways to save those whose names begin so; all of them by default.
     #[arg(long)]
     way: Vec<String>,
-    /// [`Scene::objectness`].
-    #[arg(long, default_value_t = Scene::FULL.objectness)]
-    objectness: f32,
+    /// [`Scene::most_proposals`].
+    #[arg(long, default_value_t = Scene::FULL.most_proposals)]
+    most_proposals: usize,
+    /// [`Scene::doubt`].
+    #[arg(long, default_value_t = Scene::FULL.doubt)]
+    doubt: f32,
     /// Of each folder the first so many.
     #[arg(long, default_value_t = usize::MAX, hide_default_value = true)]
     limit: usize,
@@ -112,7 +115,8 @@ impl Group {
 fn main() -> Result<(), Box<dyn Error>> {
     let args = Args::parse();
     let way = |name: &str, weights: &Path, scene: Scene| -> Result<Way, Box<dyn Error>> {
-        let scene = Scene { objectness: args.objectness, ..scene };
+        let (most_proposals, doubt) = (args.most_proposals, args.doubt);
+        let scene = Scene { most_proposals, doubt, ..scene };
         let config = Config::new(weights).device(args.device.clone()).scene(scene).score(SCORE);
         let detector = GpuDetector::new(config)?;
         Ok(Way { name: name.to_owned(), detector, looks: Vec::new(), snaps: Vec::new() })
@@ -122,7 +126,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         way("nothing left out", own, Scene::FULL)?,
         way("`contact`", own, Scene { contact: true, ..Scene::FULL })?,
         way("`proposals`", own, Scene { proposals: true, ..Scene::FULL })?,
-        way("both", own, Scene { contact: true, proposals: true, ..Scene::FULL })?,
+        way("default", own, Scene::default())?,
     ];
     for margin_mm in &args.margin {
         let [parts, all] = ["`regions`", "all three"].map(|name| format!("{name}, {margin_mm} mm"));

@@ -87,7 +87,7 @@ fn a_reference_frame_tells_marks_from_contact() {
 }
 
 #[test]
-fn parts_and_live_proposals_find_the_snap_that_the_whole_finds() {
+fn parts_and_the_best_proposals_find_the_snap_that_the_whole_finds() {
     let picture = picture::read(file("samples/stud.png")).expect("a sample").into_rgb8();
     let frame = Frame::new(picture.as_raw(), SIDE, SIDE, PixelFormat::Rgb8);
     let detect = |config: Config| {
@@ -97,12 +97,11 @@ fn parts_and_live_proposals_find_the_snap_that_the_whole_finds() {
     let whole = detect(config(Device::Cpu, Scene::FULL));
     let [stud] = &whole.detections[..] else { panic!("one stud, not {:?}", whole.detections) };
     assert_eq!((whole.contact, &whole.regions), (None, &None));
-    // Of the places that are more likely none than a snap, not one gets to the end.
-    let live = Scene { proposals: true, objectness: 0.5, ..Scene::FULL };
-    let live = detect(config(Device::Cpu, live));
-    let [all, few] = [whole.proposals, live.proposals];
-    assert!(few > 0 && few < all, "{few} of {all} proposals");
-    assert_eq!(live.detections.len(), 1);
+    // The best 16 places, of many.
+    let best = Scene { proposals: true, most_proposals: 16, ..Scene::FULL };
+    let best = detect(config(Device::Cpu, best));
+    assert!(whole.proposals > 16, "{} proposals", whole.proposals);
+    assert_eq!((best.proposals, best.detections.len()), (16, 1));
     // As if there had been a frame before: the other half's gel where the stud is.
     let mut bare = picture.clone();
     let [x1, y1, x2, y2] = stud.bbox;
@@ -126,6 +125,17 @@ fn parts_and_live_proposals_find_the_snap_that_the_whole_finds() {
         let iou = box_iou(found.bbox.map(f64::from), stud.bbox.map(f64::from));
         assert!(found.class == stud.class && iou > 0.8, "{found:?} is not {stud:?}");
     }
+    // Where no score of a part is good enough the whole decides, and its detections are as ever.
+    let doubting = Scene { doubt: 1.0, proposals: false, ..Scene::SAVING };
+    let doubted = detect(config(Device::Cpu, doubting).reference(reference));
+    assert_eq!((doubted.contact, &doubted.regions), (Some(true), &None));
+    assert_eq!(doubted.detections, whole.detections);
+    // Nor is a part's word enough where there is no snap.
+    let scene = Scene { doubt: 0.0, ..Scene::SAVING };
+    let detector = GpuDetector::new(config(Device::Cpu, scene)).expect("a detector");
+    let touched = detector.detect_frame(&gel(1, 1.0, disc(500, 300))).expect("detections");
+    assert_eq!((touched.contact, touched.detections.len()), (Some(true), 0));
+    assert_eq!(touched.regions, None);
 }
 
 /// What runs together is windows of a size, of whichever pictures; what is left over runs alone.
@@ -168,10 +178,12 @@ fn impossible_scenes_are_refused() {
     for scene in [
         Scene { margin_mm: f32::NAN, ..Scene::SAVING },
         Scene { most_of_input: 1.5, ..Scene::SAVING },
-        Scene { objectness: -0.1, ..Scene::SAVING },
+        Scene { doubt: f32::INFINITY, ..Scene::SAVING },
+        Scene { most_proposals: 0, ..Scene::SAVING },
     ] {
         let error = GpuDetector::new(config(Device::Cpu, scene)).expect_err("an error");
-        assert!(error.to_string().contains("a number from 0 to"), "{error}");
+        let error = error.to_string();
+        assert!(error.contains("a number from 0 to") || error.contains("1 to 100"), "{error}");
     }
 }
 

@@ -57,7 +57,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "FILE.safetensors")]
     dump_stages: Option<PathBuf>,
 
-    /// Run as the table says that `smr-gpu tradeoff` wrote: the fastest configuration within
+    /// Run as the table says that `smr-gpu tradeoff` wrote, on whole pictures: the fastest configuration within
     /// --max-shift-mm, or with --min-iou. Refused where adapter, driver or weights are not the table's.
     #[arg(long, value_name = "JSON", conflicts_with_all = ["weights", "size", "device", "precision"])]
     tradeoff: Option<PathBuf>,

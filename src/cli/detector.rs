@@ -66,7 +66,7 @@ pub(super) struct DetectorArgs {
 
     /// What may be left out where a picture does not need it, separated by commas: `contact`, the
     /// network where nothing touches the gel; `regions`, the gel round what touches it;
-    /// `proposals`, places that are hardly a snap [default: contact].
+    /// `proposals`, places that are hardly a snap [default: contact,regions].
     #[arg(long, value_name = "WHAT,…", value_delimiter = ',')]
     leave_out: Vec<Saving>,
 

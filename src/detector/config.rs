@@ -325,11 +325,10 @@ impl Config {
             class_mask = u32::MAX;
         }
         Ok(Thresholds {
-            score: self.score,
+            score: self.scene.least_score(self.score),
             iou: self.iou,
             max_detections: self.max_detections,
             class_mask,
-            least_objectness: self.scene.least_objectness(self.score),
             most_proposals: Thresholds::ALL.most_proposals,
         })
     }

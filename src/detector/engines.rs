@@ -25,6 +25,8 @@ pub(super) struct Kind {
     pub precision: Precision,
     /// Pictures that it takes together; on a CPU one after the other.
     pub batch: usize,
+    /// Proposals that reach the last part at most.
+    pub proposals: usize,
 }
 
 /// A device, and an engine on it for each size.
@@ -116,7 +118,12 @@ impl Engines {
     /// # Errors
     /// As [`Engine::new`].
     pub fn one(&self, size: [usize; 2]) -> Result<Arc<Engine>> {
-        self.engine(Kind { size, precision: self.precision(), batch: 1 })
+        self.engine(self.whole(size, self.precision()))
+    }
+
+    /// What a whole picture alone needs whose input has `size`, height and width.
+    pub fn whole(&self, size: [usize; 2], precision: Precision) -> Kind {
+        Kind { size, precision, batch: 1, proposals: self.config.scene.proposals(size, false) }
     }
 
     /// An engine; built first if no picture asked for it lately. Building blocks this thread.
@@ -126,9 +133,8 @@ impl Engines {
     pub fn engine(&self, kind: Kind) -> Result<Arc<Engine>> {
         self.ready.get_or_build(kind, &self.building, || {
             let like = self.ready.last();
-            let Kind { size, precision, batch } = kind;
-            let most = self.config.scene.most_proposals(self.thresholds.most_proposals, size);
-            let thresholds = Thresholds { most_proposals: most, ..self.thresholds };
+            let Kind { size, precision, batch, proposals } = kind;
+            let thresholds = Thresholds { most_proposals: proposals, ..self.thresholds };
             let network = Network::new(self.weights.clone(), size, thresholds)?;
             let on = self.gpu.as_ref().map(|gpu| On { gpu, precision, batch });
             let engine = Engine::new(&self.config, network, on, &self.choice, like.as_deref());

@@ -41,6 +41,12 @@ impl<'a> Sight<'a> {
         Self { input, contact: Some(touched), windows, in_parts, stages }
     }
 
+    /// The whole of the picture, after its parts took `stages`.
+    fn whole(&self, stages: &[StageTime]) -> Self {
+        let windows = vec![self.input.whole()];
+        Self { windows, in_parts: false, stages: stages.to_vec(), ..*self }
+    }
+
     /// What was found in a picture whose windows gave `answers`.
     fn detections(&self, answers: Vec<Seen>, precision: Precision, config: &Config) -> Detections {
         let mut stages = self.stages.clone();
@@ -81,6 +87,16 @@ struct Job<'a> {
     window: Window,
     /// The window's place among those of its picture.
     part: usize,
+    /// Of how many proposals at most the network's last part says what they are.
+    proposals: usize,
+}
+
+impl Job<'_> {
+    /// What runs it, with others like it.
+    fn kind(&self, precision: Precision, batch: usize) -> Kind {
+        let size = [self.window.height, self.window.width];
+        Kind { size, precision, batch, proposals: self.proposals }
+    }
 }
 
 /// Looks at pictures; once more in f32 where f16 does not reach.
@@ -113,10 +129,47 @@ async fn look_as(
     sights: &[Sight<'_>],
     deadline: Deadline,
 ) -> Vec<Result<Detections>> {
+    let mut found = see(engines, config, precision, sights, deadline).await;
+    let (mut places, mut wholes) = (Vec::new(), Vec::new());
+    for (at, (found, sight)) in found.iter().zip(sights).enumerate() {
+        if let Ok(found) = found.as_ref()
+            && sight.in_parts
+            && leaves_doubt(found, config)
+        {
+            places.push(at);
+            wholes.push(sight.whole(&found.stages));
+        }
+    }
+    let again = see(engines, config, precision, &wholes, deadline).await;
+    places.into_iter().zip(again).for_each(|(at, again)| found[at] = again);
+    for found in found.iter_mut().flatten() {
+        found.detections.retain(|detection| detection.score > config.score);
+    }
+    found
+}
+
+/// Whether a box may be on the other side of the asked-for score, or something touches and is no snap: what
+/// counts as contact is made for a sensor's light, and not every camera's is known.
+fn leaves_doubt(found: &Detections, config: &Config) -> bool {
+    let scores = || found.detections.iter().map(|found| found.score);
+    let is_doubtful = |score| config.scene.is_doubtful(score, config.score);
+    scores().any(is_doubtful) || !scores().any(|score| score > config.score)
+}
+
+/// Looks at each picture's windows. What may leave doubt is among the detections.
+async fn see(
+    engines: &Engines,
+    config: &Config,
+    precision: Precision,
+    sights: &[Sight<'_>],
+    deadline: Deadline,
+) -> Vec<Result<Detections>> {
     let mut jobs = Vec::new();
-    for Sight { input, windows, .. } in sights {
-        let windows = windows.iter().copied().enumerate();
-        jobs.extend(windows.map(|(part, window)| Job { input, window, part }));
+    for Sight { input, windows, in_parts, .. } in sights {
+        jobs.extend(windows.iter().copied().enumerate().map(|(part, window)| {
+            let proposals = config.scene.proposals([window.height, window.width], *in_parts);
+            Job { input, window, part, proposals }
+        }));
     }
     let mut seen = run_all(engines, precision, &jobs, deadline).await.into_iter();
     let mut found = Vec::new();
@@ -128,19 +181,19 @@ async fn look_as(
     found
 }
 
-/// Runs the network over each window, those of a size together as far as they fill a batch.
+/// Runs the network over each window, those of a kind together as far as they fill a batch.
 async fn run_all(
     engines: &Engines,
     precision: Precision,
     jobs: &[Job<'_>],
     deadline: Deadline,
 ) -> Vec<Result<Seen>> {
-    let size = |at: &usize| [jobs[*at].window.height, jobs[*at].window.width];
+    let like = |at: &usize| (jobs[*at].window.height, jobs[*at].window.width, jobs[*at].proposals);
     let mut order: Vec<usize> = (0..jobs.len()).collect();
-    order.sort_by_key(size);
+    order.sort_by_key(like);
     let mut seen: Vec<Option<Result<Seen>>> = jobs.iter().map(|_| None).collect();
     let most = engines.batch();
-    for same in order.chunk_by(|a, b| size(a) == size(b)) {
+    for same in order.chunk_by(|a, b| like(a) == like(b)) {
         for group in same.chunks(most).filter(|group| most > 1 && group.len() == most) {
             let together: Vec<Job> = group.iter().map(|at| jobs[*at]).collect();
             // What goes wrong for all is no picture's own fault: each then runs alone.
@@ -158,7 +211,7 @@ async fn run_all(
     seen.into_iter().flatten().collect()
 }
 
-/// Runs the network once over windows of one size.
+/// Runs the network once over windows of one kind.
 ///
 /// # Errors
 /// What the run returns; of each window, [`Error::NotFinite`].
@@ -169,8 +222,7 @@ async fn run(
     deadline: Deadline,
 ) -> Result<Vec<Result<Seen>>> {
     let Some(first) = jobs.first() else { return Ok(Vec::new()) };
-    let size = [first.window.height, first.window.width];
-    let engine = engines.engine(Kind { size, precision, batch: jobs.len() })?;
+    let engine = engines.engine(first.kind(precision, jobs.len()))?;
     let network = &engine.network;
     let crops: Vec<_> =
         jobs.iter().map(|job| job.input.part(&job.window)).collect::<Result<_>>()?;

@@ -51,7 +51,7 @@ use crate::tune::{self, Tuned};
 pub use config::{Config, Device, WeightSource};
 pub use detection::{Comparison, Detection, Detections};
 use engine::Engine;
-use engines::{Engines, Kind};
+use engines::Engines;
 use input::{Geometry, Input};
 use look::Sight;
 pub use scene::Scene;
@@ -548,7 +548,7 @@ impl GpuDetector {
         deadline: Deadline,
     ) -> Result<(Values, Detections)> {
         let (size, precision) = (input.geometry.size, engines.precision());
-        let engine = |precision| engines.engine(Kind { size, precision, batch: 1 });
+        let engine = |precision| engines.engine(engines.whole(size, precision));
         match self.look_in(engine(precision)?, input, deadline).await {
             Err(Error::NotFinite { .. }) if precision == Precision::F16 => {
                 self.look_in(engine(Precision::F32)?, input, deadline).await

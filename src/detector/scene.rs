@@ -2,11 +2,14 @@
 
 use crate::detector::Detections;
 use crate::error::{Error, Result};
+use crate::model::Thresholds;
 
-/// Height and width of an input that has all proposals: the paper's.
+/// Height and width of the paper's input.
 const SHARED: [usize; 2] = [320; 2];
 /// Proposals that the RoI head's kernels take together.
 const TOGETHER: usize = 16;
+/// All proposals that there are.
+const MOST_PROPOSALS: usize = Thresholds::ALL.most_proposals;
 
 /// What is left out where a picture does not need it, each saving for itself. A picture gets the same
 /// answer however busy the machine is: only what it shows decides.
@@ -23,20 +26,23 @@ pub struct Scene {
     /// Where nothing touches the gel the network does not run: no snap.
     pub contact: bool,
     /// The network looks only where something touches the gel, and `margin_mm` round it, in parts that
-    /// make up at most `most_of_input` of its input; else at the whole.
+    /// make up at most `most_of_input` of its input, and of each only at the best `most_proposals`; else at
+    /// the whole, and after them where they leave `doubt` or show no snap.
     pub regions: bool,
-    /// Proposals whose objectness is at most `objectness` of the score that is asked for do not reach the
-    /// network's last part, nor of an input of less than 320 × 320 pixels more than its share of the 100 that
-    /// such a one has, in whole sixteens.
+    /// Of the whole picture, too, only the best `most_proposals` reach the network's last part.
     pub proposals: bool,
     /// Gel round a contact that the network sees, in millimetres; from 0 to 60. What counts as contact reaches
     /// up to 2 mm past what touches.
     pub margin_mm: f32,
     /// Share of the network's input above which all of it is computed; from 0 to 1.
     pub most_of_input: f32,
-    /// Share of [`Config::score`](crate::Config::score) that a proposal's probability to be a snap must be
-    /// above; from 0 to 1.
-    pub objectness: f32,
+    /// How far on the way from the asked-for [`Config::score`](crate::Config::score) to 0, and to 1, a box that
+    /// parts show is doubtful: in the whole, of which the network's attention sees more, it may be on the
+    /// other side. With 0 no box is; from 0 to 1.
+    pub doubt: f32,
+    /// Proposals of 320 × 320 pixels of the network's input that reach its last part, those of the highest
+    /// objectness; of more or less the area's share, in whole sixteens. From 1 to 100.
+    pub most_proposals: usize,
 }
 
 impl Scene {
@@ -47,7 +53,8 @@ impl Scene {
         proposals: false,
         margin_mm: 1.0,
         most_of_input: 0.8,
-        objectness: 0.01,
+        doubt: 0.5,
+        most_proposals: 32,
     };
     /// All that can be left out is.
     pub const SAVING: Self = Self { contact: true, regions: true, proposals: true, ..Self::FULL };
@@ -73,10 +80,8 @@ impl Scene {
             left.push(format!("{share:.2} of the frame: no contact within {margin} mm of it"));
         }
         if self.proposals {
-            let share = self.objectness;
-            left.push(format!(
-                "proposals: objectness of at most {share} of the asked-for score, or beyond a part's share"
-            ));
+            let most = self.most_proposals;
+            left.push(format!("proposals: none but the best, {most} in 320 x 320 pixels"));
         }
         left
     }
@@ -86,18 +91,24 @@ impl Scene {
         self.contact || self.regions
     }
 
-    /// What the objectness of a proposal must be above where detections must be above `score`.
-    pub(super) fn least_objectness(&self, score: f32) -> f32 {
-        if self.proposals { self.objectness * score } else { f32::NEG_INFINITY }
+    /// What a box's score must be above where detections must be above `score`: with parts, all that may
+    /// leave doubt.
+    pub(super) fn least_score(&self, score: f32) -> f32 {
+        if self.regions { score * (1.0 - self.doubt) } else { score }
     }
 
-    /// How many of `most` proposals reach the last part, of an input of this height and width.
-    pub(super) fn most_proposals(&self, most: usize, [height, width]: [usize; 2]) -> usize {
-        if !self.proposals {
-            return most;
+    /// Whether a box of this score in a part leaves doubt where detections must be above `asked`.
+    pub(super) fn is_doubtful(&self, score: f32, asked: f32) -> bool {
+        score > self.least_score(asked) && score < asked + self.doubt * (1.0 - asked)
+    }
+
+    /// How many proposals reach the last part, of a whole input or a part with this height and width.
+    pub(super) fn proposals(&self, [height, width]: [usize; 2], is_part: bool) -> usize {
+        if !self.proposals && !is_part {
+            return MOST_PROPOSALS;
         }
-        let share = (most * height * width).div_ceil(SHARED[0] * SHARED[1]);
-        share.next_multiple_of(TOGETHER).min(most)
+        let share = (self.most_proposals * height * width).div_ceil(SHARED[0] * SHARED[1]);
+        share.next_multiple_of(TOGETHER).min(MOST_PROPOSALS)
     }
 
     /// # Errors
@@ -106,7 +117,7 @@ impl Scene {
         let ranges = [
             ("margin_mm", self.margin_mm, 60.0),
             ("most_of_input", self.most_of_input, 1.0),
-            ("objectness", self.objectness, 1.0),
+            ("doubt", self.doubt, 1.0),
         ];
         for (name, value, most) in ranges {
             // A NaN is in no range.
@@ -115,14 +126,19 @@ impl Scene {
                 return Err(Error::param("detect", name, expected, value));
             }
         }
+        if !(1..=MOST_PROPOSALS).contains(&self.most_proposals) {
+            let expected = format!("1 to {MOST_PROPOSALS}");
+            return Err(Error::param("detect", "most_proposals", expected, self.most_proposals));
+        }
         Ok(())
     }
 }
 
 impl Default for Scene {
-    /// What lost none of 2003 labelled snaps: `contact`. The others may cost one, and are for those who ask.
+    /// What lost none of 2003 labelled snaps: `contact` and `regions`. `proposals` may cost one, and is for
+    /// those who ask.
     fn default() -> Self {
-        Self { contact: true, ..Self::FULL }
+        Self { contact: true, regions: true, ..Self::FULL }
     }
 }
 
@@ -131,11 +147,29 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_part_has_its_share_of_the_proposals_in_whole_sixteens() {
+    fn boxes_on_half_the_way_from_the_asked_score_are_doubtful() {
+        let scene = Scene::SAVING;
+        // From 0.25 to 0.75; from 0.05 to 0.55.
+        for (asked, sure, doubtful) in [
+            (0.5, [0.25, 0.75, 0.9], [0.26, 0.5, 0.74]),
+            (0.1, [0.05, 0.55, 1.0], [0.06, 0.1, 0.5]),
+        ] {
+            assert!(sure.iter().all(|score| !scene.is_doubtful(*score, asked)), "{asked}");
+            assert!(doubtful.iter().all(|score| scene.is_doubtful(*score, asked)), "{asked}");
+        }
+        let certain = Scene { doubt: 0.0, ..scene };
+        assert!([0.0, 0.5, 1.0].iter().all(|score| !certain.is_doubtful(*score, 0.5)));
+        // What decides on a whole picture is the asked-for score.
+        assert_eq!([scene, Scene::FULL].map(|scene| scene.least_score(0.5)), [0.25, 0.5]);
+    }
+
+    #[test]
+    fn an_input_has_its_share_of_the_proposals_in_whole_sixteens() {
         let (all, saving) = (Scene::FULL, Scene::SAVING);
-        // 100 · 96² / 320² is 9, 100 · 160² / 320² is 25, 100 · 160 · 256 / 320² is 40.
-        let sizes = [[96, 96], [160, 160], [256, 160], [320, 320], [640, 320]];
-        assert_eq!(sizes.map(|size| saving.most_proposals(100, size)), [16, 32, 48, 100, 100]);
-        assert_eq!(sizes.map(|size| all.most_proposals(100, size)), [100; 5]);
+        // 32 · 96² / 320² is 3, 32 · 256² / 320² is 20, 32 · 640 · 480 / 320² is 96.
+        let sizes = [[96, 96], [160, 160], [256, 256], [320, 320], [480, 640], [640, 640]];
+        assert_eq!(sizes.map(|size| saving.proposals(size, false)), [16, 16, 32, 32, 96, 100]);
+        assert_eq!(sizes.map(|size| all.proposals(size, false)), [100; 6]);
+        assert_eq!(sizes.map(|size| all.proposals(size, true)), [16, 16, 32, 32, 96, 100]);
     }
 }

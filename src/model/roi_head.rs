@@ -29,8 +29,6 @@ pub struct Thresholds {
     pub max_detections: usize,
     /// Bit c set: class c is wanted; 0 is the background.
     pub class_mask: u32,
-    /// A proposal's objectness, from 0 to 1, must be above this; −∞ for all of them.
-    pub least_objectness: f32,
     /// At most so many proposals, the best, reach the RoI head.
     pub most_proposals: usize,
 }
@@ -42,7 +40,6 @@ impl Thresholds {
         iou: 0.5,
         max_detections: 100,
         class_mask: u32::MAX,
-        least_objectness: f32::NEG_INFINITY,
         most_proposals: 100,
     };
 }

@@ -53,7 +53,6 @@ pub(super) fn rpn(
     let nms = Nms {
         iou_threshold: IOU,
         max_out: thresholds.most_proposals,
-        min_score: thresholds.least_objectness,
         min_size: MIN_SIZE,
         sorted: true,
         count: true,

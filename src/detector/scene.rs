@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::model::Thresholds;
 
 /// Height and width of the paper's input.
-const SHARED: [usize; 2] = [320; 2];
+const PAPER: [usize; 2] = [320; 2];
 /// Proposals that the RoI head's kernels take together.
 const TOGETHER: usize = 16;
 /// All proposals that there are.
@@ -107,7 +107,7 @@ impl Scene {
         if !self.proposals && !is_part {
             return MOST_PROPOSALS;
         }
-        let share = (self.most_proposals * height * width).div_ceil(SHARED[0] * SHARED[1]);
+        let share = (self.most_proposals * height * width).div_ceil(PAPER[0] * PAPER[1]);
         share.next_multiple_of(TOGETHER).min(MOST_PROPOSALS)
     }
 

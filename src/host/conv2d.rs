@@ -10,6 +10,7 @@ use super::kernel::{Data, Kernel};
 use super::packs::Pack;
 use super::winograd::Winograd;
 use crate::cpu;
+use crate::error::Result;
 use crate::ops::Conv2d;
 use crate::ops::bounds::magnitude;
 use crate::shape::TensorSpec;
@@ -90,25 +91,27 @@ impl Epilogue {
 }
 
 impl Convolution {
-    /// Packs the weights of `op` for an input of this shape, where `pack` has not got them.
+    /// Packs the weights of `op` for an input of this shape, where no plan has.
+    ///
+    /// # Errors
+    /// As [`Pack::get`].
     pub fn new(
         op: Conv2d,
         input: &TensorSpec,
         output: &TensorSpec,
-        weight: &Tensor,
         bias: Option<&Tensor>,
         pack: Pack,
-    ) -> Self {
-        let [out_c, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
+    ) -> Result<Self> {
+        let [out_c, in_c, kh, kw] = [0, 1, 2, 3].map(|i| pack.dims()[i]);
         let [in_h, in_w] = [1, 2].map(|i| input.shape.0[i]);
         let [out_h, out_w] = [1, 2].map(|i| output.shape.0[i]);
         let shape = MapShape { in_c, in_h, in_w, out_c, out_h, out_w, kh, kw };
         let bias = bias.map_or_else(|| vec![0.0; out_c], |b| b.data().to_vec());
         let algorithm = match Winograd::fits(&op, &shape) {
-            true => Algorithm::Winograd(Winograd::new(shape, weight, pack)),
-            false => Algorithm::Im2col(pack.get("im2col", || channels_last(weight))),
+            true => Algorithm::Winograd(Winograd::new(shape, pack)?),
+            false => Algorithm::Im2col(pack.get("im2col", channels_last)?),
         };
-        Self { op, shape, algorithm, epilogue: Epilogue { bias, relu: op.relu } }
+        Ok(Self { op, shape, algorithm, epilogue: Epilogue { bias, relu: op.relu } })
     }
 
     /// Whether the input itself is the matrix of im2col.

@@ -6,6 +6,7 @@ use super::gemm::{Panels, order};
 use super::kernel::{Data, Kernel, Layout, map_sizes};
 use super::packs::Pack;
 use crate::cpu;
+use crate::error::Result;
 use crate::ops::Linear;
 use crate::ops::bounds::magnitude;
 use crate::ops::linear::rows;
@@ -24,9 +25,12 @@ pub(super) struct FullyConnected {
 }
 
 impl FullyConnected {
-    /// Packs the weights of `op` for an input of this shape, where `pack` has not got them.
-    pub fn new(op: Linear, input: &TensorSpec, weight: &Tensor, bias: &Tensor, pack: Pack) -> Self {
-        let [outputs, inner] = [0, 1].map(|i| weight.dims()[i]);
+    /// Packs the weights of `op` for an input of this shape, where no plan has.
+    ///
+    /// # Errors
+    /// As [`Pack::get`].
+    pub fn new(op: Linear, input: &TensorSpec, bias: &Tensor, pack: Pack) -> Result<Self> {
+        let [outputs, inner] = [0, 1].map(|i| pack.dims()[i]);
         // Where a row is a map [C, H, W], it comes as [H, W, C].
         let (layout, channels, pixels) = match map_sizes(input) {
             Some((_, channels, pixels)) if input.shape.rank() == 4 => {
@@ -34,7 +38,7 @@ impl FullyConnected {
             }
             _ => (Layout::Planar, inner, 1),
         };
-        let channels_last = || {
+        let channels_last = |weight: &Tensor| {
             let mut packed = vec![0.0; outputs * inner];
             Panels::fill(&mut packed, inner, |o, k| {
                 let (pixel, channel) = (k / channels, k % channels);
@@ -42,9 +46,9 @@ impl FullyConnected {
             });
             packed
         };
-        let packed = pack.get("linear", channels_last);
+        let weight = pack.get("linear", channels_last)?;
         let rows = rows(&input.shape);
-        Self { op, rows, layout, weight: packed, bias: bias.data().to_vec() }
+        Ok(Self { op, rows, layout, weight, bias: bias.data().to_vec() })
     }
 }
 

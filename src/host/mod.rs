@@ -39,36 +39,35 @@ use crate::ops::{
     SpatialGate, SpatialPool, Tolerance, UpsampleBilinear, WeightedSum,
 };
 use crate::shape::{Extent, TensorSpec};
-use crate::tensor::Value;
+use crate::tensor::{Constant, Value};
 
 use kernel::Kernel;
 pub use plan::HostPlan;
 
-/// The kernel for an operation on inputs of these shapes. `constants` holds the values of those
-/// inputs that are known now; weights that `pack` has got already are shared.
+/// The kernel for an operation on inputs of these shapes. `constants` holds those inputs that are known
+/// now; weights, by their `name`, that `packs` has got already are shared.
 fn kernel(
     op: &dyn Op,
     inputs: &[TensorSpec],
     outputs: &[TensorSpec],
-    constants: &[Option<&Value>],
-    pack: packs::Pack,
+    constants: &[Option<&Constant>],
+    packs: &packs::Packs,
+    name: &str,
 ) -> Result<Option<Box<dyn Kernel>>> {
     let any: &dyn Any = op;
-    let constant = |index: usize| match constants.get(index) {
-        Some(Some(Value::F32(tensor))) => Some(tensor),
-        _ => None,
-    };
+    let constant = |index: usize| constants.get(index).copied().flatten();
+    let pack = constant(1).map(|weight| packs::Pack { all: packs, name, weight });
     if let Some(op) = any.downcast_ref::<Conv2d>() {
         let bias = if op.bias { constant(2) } else { None };
-        let Some(weight) = constant(1).filter(|_| op.bias == bias.is_some()) else {
-            return Ok(None);
-        };
-        let conv = conv2d::Convolution::new(*op, &inputs[0], &outputs[0], weight, bias, pack);
+        let Some(pack) = pack.filter(|_| op.bias == bias.is_some()) else { return Ok(None) };
+        let bias = bias.map(Constant::get).transpose()?;
+        let bias = bias.as_ref().map(|bias| bias.f32()).transpose()?;
+        let conv = conv2d::Convolution::new(*op, &inputs[0], &outputs[0], bias, pack)?;
         return Ok(Some(Box::new(conv)));
     }
     if let Some(op) = any.downcast_ref::<Linear>() {
-        let (Some(weight), Some(bias)) = (constant(1), constant(2)) else { return Ok(None) };
-        let layer = linear::FullyConnected::new(*op, &inputs[0], weight, bias, pack);
+        let (Some(pack), Some(bias)) = (pack, constant(2)) else { return Ok(None) };
+        let layer = linear::FullyConnected::new(*op, &inputs[0], bias.get()?.f32()?, pack)?;
         return Ok(Some(Box::new(layer)));
     }
     if let Some(op) = any.downcast_ref::<CropResize>() {
@@ -88,7 +87,9 @@ fn kernel(
     }
     if any.is::<SpatialGate>() {
         let (Some(weight), Some(bias)) = (constant(1), constant(2)) else { return Ok(None) };
-        let logits = maps::SpatialLogits::new(&inputs[0], weight.data(), bias.data()[0]);
+        let (weight, bias) = (weight.get()?, bias.get()?);
+        let logits =
+            maps::SpatialLogits::new(&inputs[0], weight.f32()?.data(), bias.f32()?.data()[0]);
         return Ok(Some(Box::new(logits)));
     }
     if any.is::<ApplyGates>() {

@@ -5,12 +5,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::kernel::{Data, Kernel, Layout, convert};
-use super::packs::{Pack, Packs};
+use super::packs::Packs;
 use super::reference::Reference;
 use crate::error::{Error, Result};
 use crate::graph::{Graph, Source, StageTime, TensorId};
 use crate::shape::{DType, TensorSpec};
-use crate::tensor::{Tensor, Value};
+use crate::tensor::{Constant, Tensor, Value};
 
 /// A tensor's values in one layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -90,7 +90,7 @@ impl HostPlan {
         let (places, mut slots) = place(&steps, &wanted, &specs, given);
         for (version, value) in constants {
             let Some(Place::Slot(slot)) = places.get(&version) else { continue };
-            let words: &[f32] = match &value {
+            let words: &[f32] = match value.as_ref() {
                 Value::F32(t) => t.data(),
                 Value::U32(t) => bytemuck::cast_slice(t.data()),
             };
@@ -255,27 +255,21 @@ struct Builder<'a> {
 }
 
 /// Constants that no kernel packs, in the layout in which they are read.
-type Constants = Vec<(Version, Value)>;
+type Constants = Vec<(Version, Arc<Value>)>;
 
 impl Builder<'_> {
     fn add(&mut self, node: &crate::graph::Node, constants: &mut Constants) -> Result<()> {
         let spec = |id: &TensorId| self.graph.spec(*id).clone();
         let input_specs: Vec<_> = node.inputs.iter().map(spec).collect();
         let output_specs: Vec<_> = node.outputs.iter().map(spec).collect();
-        // Made for this operation alone, and gone once they are packed.
-        let values: Vec<Option<Arc<Value>>> = node
-            .inputs
-            .iter()
-            .map(|id| match &self.graph.tensors()[id.0].source {
-                Source::Constant { constant, .. } => constant.get().map(Some),
-                _ => Ok(None),
-            })
-            .collect::<Result<_>>()?;
-        let known: Vec<Option<&Value>> = values.iter().map(Option::as_deref).collect();
+        let constant = |id: &TensorId| match &self.graph.tensors()[id.0].source {
+            Source::Constant { constant, .. } => Some(constant),
+            _ => None,
+        };
+        let known: Vec<Option<&Constant>> = node.inputs.iter().map(constant).collect();
         let (op, outputs) = (node.op.as_ref(), &output_specs);
         let name = node.inputs.get(1).map_or("", |id| self.graph.name(*id));
-        let pack = Pack { all: self.packs, name };
-        let kernel = match super::kernel(op, &input_specs, outputs, &known, pack)? {
+        let kernel = match super::kernel(op, &input_specs, outputs, &known, self.packs, name)? {
             Some(kernel) => kernel,
             None => Box::new(Reference::new(node.op.clone(), input_specs.clone())),
         };
@@ -292,7 +286,7 @@ impl Builder<'_> {
                 continue;
             }
             match known[index] {
-                Some(value) => constants.push((version, value.clone())),
+                Some(constant) => constants.push((version, constant.get()?)),
                 None => self.convert(version, node.stage),
             }
             inputs.push(Some(version));

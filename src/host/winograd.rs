@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use super::conv2d::{Epilogue, MapShape};
 use super::gemm::{Panels, order, vectorised};
 use super::packs::Pack;
+use crate::error::Result;
 use crate::ops::Conv2d;
 use crate::ops::winograd::{IN, OUT, POINTS, error_bound, point_weight};
 use crate::tensor::Tensor;
@@ -55,9 +56,12 @@ impl Winograd {
             && shape.pixels() >= LEAST_PIXELS
     }
 
-    /// Transforms `weight` `[O, I, 3, 3]`, in f64, where `pack` has not got it.
-    pub fn new(shape: MapShape, weight: &Tensor, pack: Pack) -> Self {
-        Self { shape, weight: pack.get("winograd", || transformed(shape, weight)) }
+    /// Transforms the weight `[O, I, 3, 3]`, in f64, where no plan has.
+    ///
+    /// # Errors
+    /// As [`Pack::get`].
+    pub fn new(shape: MapShape, pack: Pack) -> Result<Self> {
+        Ok(Self { shape, weight: pack.get("winograd", |weight| transformed(shape, weight))? })
     }
 
     /// How far each output may be from the definition's, `[O, H, W]`, for absolute values of the

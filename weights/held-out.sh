@@ -68,3 +68,4 @@ look_alike rib 19211 rib
 look_alike edge 19212 edge
 look_alike pin 19213 pin
 look_alike bare 19214 nothing
+look_alike clutter 19215 clutter

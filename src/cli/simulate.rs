@@ -110,6 +110,8 @@ enum PartName {
     Edge,
     /// A round pin.
     Pin,
+    /// A thing of no known kind.
+    Clutter,
     /// Bare gel.
     Nothing,
 }
@@ -130,6 +132,7 @@ impl From<PartName> for Part {
             PartName::Rib => Self::Rib,
             PartName::Edge => Self::Edge,
             PartName::Pin => Self::Pin,
+            PartName::Clutter => Self::Clutter,
             PartName::Nothing => Self::Nothing,
         }
     }

@@ -3,6 +3,7 @@
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
+use super::clutter::Clutter;
 use super::profile::{rectangle, rounded_edge, smooth_min, stroke};
 use super::snaps::Stud;
 
@@ -50,6 +51,8 @@ pub enum Part {
     Edge,
     /// A round pin.
     Pin,
+    /// A thing of no known kind.
+    Clutter,
     /// Nothing: bare gel.
     Nothing,
 }
@@ -142,6 +145,8 @@ pub enum Distractor {
         /// Radius of its edge.
         fillet: f64,
     },
+    /// A thing of no known kind.
+    Clutter(Clutter),
     /// Raised letters.
     Lettering {
         /// The letters' strokes.
@@ -288,6 +293,7 @@ impl Distractor {
             },
             Part::Edge => Self::Edge { fillet },
             Part::Pin => Self::Pin { radius: rng.random_range(0.8..4.0), fillet },
+            Part::Clutter => Self::Clutter(Clutter::sample(rng)),
             Part::Nothing => return None,
         })
     }
@@ -355,6 +361,7 @@ impl Distractor {
                 rounded_edge(upper.min(lower), *fillet).max(rounded_edge(lower, *fillet) - step)
             }
             Self::Ring(stud) => stud.height(x, y),
+            Self::Clutter(thing) => thing.height(x, y),
             Self::Nut { half_width, hole, chamfer } => {
                 let r = x.hypot(y);
                 let inside = (half_width - hexagon(x, y)).min(r - hole);
@@ -395,6 +402,7 @@ impl Distractor {
                 Some(*half)
             }
             Self::Ring(stud) => Some([stud.diameter / 2.0, stud.diameter / stud.oval / 2.0]),
+            Self::Clutter(thing) => Some(thing.half_size()),
             Self::Nut { half_width, .. } => Some([half_width / 0.75f64.sqrt(), *half_width]),
             Self::Lettering { half, half_width, .. } => {
                 Some([half[0] + half_width, half[1] + half_width])

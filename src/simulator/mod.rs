@@ -39,6 +39,7 @@
 
 pub mod calibrate;
 pub mod camera;
+pub mod clutter;
 pub mod coating;
 pub mod conditions;
 pub mod contact;

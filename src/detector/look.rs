@@ -148,12 +148,9 @@ async fn look_as(
     found
 }
 
-/// Whether a box may be on the other side of the asked-for score, or something touches and is no snap: what
-/// counts as contact is made for a sensor's light, and not every camera's is known.
+/// Whether a box may pass in the whole that does not in a part.
 fn leaves_doubt(found: &Detections, config: &Config) -> bool {
-    let scores = || found.detections.iter().map(|found| found.score);
-    let is_doubtful = |score| config.scene.is_doubtful(score, config.score);
-    scores().any(is_doubtful) || !scores().any(|score| score > config.score)
+    found.detections.iter().any(|found| config.scene.is_doubtful(found.score, config.score))
 }
 
 /// Looks at each picture's windows. What may leave doubt is among the detections.

@@ -10,8 +10,9 @@ use crate::model::weights::Weights;
 use crate::model::{Choice, Thresholds};
 use crate::ops::{Conv2d, DecodeProposals, GatherRows, Nms, TopK};
 
-/// Proposals that enter the non-maximum suppression.
-const BEFORE_NMS: usize = 1000;
+/// Candidates that enter the non-maximum suppression for each proposal that may leave it: torchvision's 1000
+/// for 100, and of a part that has few proposals as many less.
+const CANDIDATES: usize = 10;
 /// Intersection over union above which the lower of two proposals goes.
 const IOU: f32 = 0.7;
 /// Smallest side of a proposal, in pixels of the network's input.
@@ -46,7 +47,8 @@ pub(super) fn rpn(
     let deltas = conv(graph, weights, "rpn.bbox", head, [4 * a, channels, 1, 1], fused)?;
 
     graph.begin_stage("proposals");
-    let best = graph.apply("rpn.top_k", TopK { k: BEFORE_NMS, count: false }, &[scores])?;
+    let candidates = TopK { k: CANDIDATES * thresholds.most_proposals, count: false };
+    let best = graph.apply("rpn.top_k", candidates, &[scores])?;
     let (logits, indices, count) = (best[0], best[1], best[2]);
     let decode = DecodeProposals { anchors, stride: config.stride, width, height };
     let decoded = graph.apply("rpn.decode", decode, &[deltas, logits, indices, count])?;

@@ -4,10 +4,12 @@
 
 use std::f64::consts::{PI, TAU};
 
+use glam::DVec2;
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
 use super::profile::{rectangle, rounded_edge, stroke};
+use super::scene::Pose;
 
 /// Height far outside all shapes, in millimetres.
 const NOTHING_MM: f64 = -10.0;
@@ -101,8 +103,7 @@ impl Outline {
 #[derive(Debug, Clone, PartialEq)]
 struct Piece {
     outline: Outline,
-    center: [f64; 2],
-    yaw: f64,
+    pose: Pose,
     /// Height of its top or floor, in millimetres; at most 0.
     top: f64,
     /// Slope of its top along its own x and y.
@@ -128,14 +129,14 @@ impl Piece {
         let mut slope = || if flat { 0.0 } else { (2.0 * rng.random_range(0.0..1.0) - 1.0) * 0.25 };
         let slope = [slope(), slope()];
         let fillet = rng.random_range(0.05f64.ln()..0.8f64.ln()).exp();
-        Self { outline, center, yaw: rng.random_range(-PI..PI), top, slope, fillet, is_hole }
+        let pose =
+            Pose { origin_mm: center.into(), x: DVec2::from_angle(rng.random_range(-PI..PI)) };
+        Self { outline, pose, top, slope, fillet, is_hole }
     }
 
     /// The height at a point of what has the height `below` without this piece.
     fn over(&self, below: f64, x: f64, y: f64) -> f64 {
-        let (sin, cos) = self.yaw.sin_cos();
-        let [dx, dy] = [x - self.center[0], y - self.center[1]];
-        let [u, v] = [cos * dx + sin * dy, cos * dy - sin * dx];
+        let [u, v] = self.pose.own(DVec2::new(x, y)).into();
         let inside = self.outline.inside(u, v);
         if self.is_hole {
             return below.min(rounded_edge(-inside, self.fillet).max(self.top));
@@ -152,7 +153,8 @@ impl Piece {
 struct Grain {
     pitch_mm: f64,
     height_mm: f64,
-    yaw: f64,
+    /// Its x is the direction of the waves.
+    pose: Pose,
     /// Across as well as along.
     both: bool,
 }
@@ -163,17 +165,17 @@ impl Grain {
         Self {
             pitch_mm,
             height_mm: pitch_mm * rng.random_range(0.05..0.35),
-            yaw: rng.random_range(-PI..PI),
+            pose: Pose { origin_mm: DVec2::ZERO, x: DVec2::from_angle(rng.random_range(-PI..PI)) },
             both: rng.random_bool(0.5),
         }
     }
 
     /// At most 0.
     fn height(&self, x: f64, y: f64) -> f64 {
-        let (sin, cos) = self.yaw.sin_cos();
+        let [along, across] = self.pose.own(DVec2::new(x, y)).into();
         let wave = |along: f64| ((TAU * along / self.pitch_mm).cos() - 1.0) / 2.0;
-        let other = if self.both { wave(cos * y - sin * x) } else { 0.0 };
-        self.height_mm * (wave(cos * x + sin * y) + other)
+        let other = if self.both { wave(across) } else { 0.0 };
+        self.height_mm * (wave(along) + other)
     }
 }
 
@@ -195,8 +197,7 @@ impl Clutter {
 
     /// Height in millimetres; at most 0, falling steeply outside.
     pub fn height(&self, x: f64, y: f64) -> f64 {
-        let smooth =
-            self.pieces.iter().fold(NOTHING_MM, |below, piece| piece.over(below, x, y)).min(0.0);
+        let smooth = self.pieces.iter().fold(NOTHING_MM, |below, piece| piece.over(below, x, y));
         smooth + self.grain.map_or(0.0, |grain| grain.height(x, y))
     }
 
@@ -205,7 +206,7 @@ impl Clutter {
         let solid = self.pieces.iter().filter(|piece| !piece.is_hole);
         solid.fold([0.0; 2], |half, piece| {
             let reach = piece.outline.reach();
-            [0, 1].map(|axis| half[axis].max(piece.center[axis].abs() + reach))
+            [0, 1].map(|axis| half[axis].max(piece.pose.origin_mm[axis].abs() + reach))
         })
     }
 }
@@ -217,7 +218,8 @@ mod tests {
     use super::*;
 
     fn piece(outline: Outline, top: f64, is_hole: bool) -> Piece {
-        Piece { outline, center: [0.0; 2], yaw: 0.0, top, slope: [0.0; 2], fillet: 0.1, is_hole }
+        let pose = Pose { origin_mm: DVec2::ZERO, x: DVec2::X };
+        Piece { outline, pose, top, slope: [0.0; 2], fillet: 0.1, is_hole }
     }
 
     #[test]

@@ -31,7 +31,7 @@ use smr_gpu::simulator::render::{
 use smr_gpu::simulator::scene::{Body, Mix, Placed, Scene};
 use smr_gpu::simulator::shadow::{Ray, cast};
 use smr_gpu::simulator::smooth;
-use smr_gpu::simulator::snaps::{Kind, Snap};
+use smr_gpu::simulator::snaps::{Kind, Snap, Stud};
 use smr_gpu::simulator::surface::Surface;
 
 const PICTURE_PX: usize = Frame::PAPER.width;
@@ -1080,6 +1080,27 @@ fn a_snap_s_visible_share_is_what_the_picture_shows() {
 }
 
 #[test]
+fn a_ring_s_bead_and_edges_can_be_forced_with_and_without_slots() {
+    let forced: Forced = "bead=0,fillet=0.6".parse().expect("conditions");
+    for seed in 0..50 {
+        let rng = || Pcg64::seed_from_u64(seed);
+        let stud = |forced: &Forced| match Snap::sample_wide(&mut rng(), Kind::B, forced) {
+            Snap::Stud(stud) => stud,
+            Snap::Hook(hook) => panic!("{hook:?}"),
+        };
+        let ring = |forced: &Forced| match Distractor::sample_wide(&mut rng(), Part::Ring, forced) {
+            Some(Distractor::Ring(ring)) => ring,
+            other => panic!("{other:?}"),
+        };
+        for draw in [&stud as &dyn Fn(&Forced) -> Stud, &ring] {
+            let (free, plain) = (draw(&Forced::default()), draw(&forced));
+            let fillet = 0.6f64.min(free.wall / 2.0);
+            assert_eq!(plain, Stud { bead: 0.0, fillet, ..free });
+        }
+    }
+}
+
+#[test]
 fn a_wall_is_not_in_its_hook_s_box() {
     let forced: Forced = "mild,wall".parse().expect("conditions");
     let (grid, gel) = (GRID, [40.0, 40.0]);
@@ -1144,7 +1165,7 @@ fn lookalikes_have_no_label_and_can_be_drawn_alone() {
         let scene =
             Scene::sample_wide(rng, [-10.0, -8.0, 10.0, 8.0], Mix::None, Some(part), &forced);
         assert_eq!(scene.distractors.is_empty(), part == Part::Nothing, "{part:?}");
-        if let Some(shape) = Distractor::sample_wide(rng, part) {
+        if let Some(shape) = Distractor::sample_wide(rng, part, &forced) {
             // The highest point is at 0, and the outline is where the part ends.
             let [a, b] = shape.half_size().unwrap_or([5.0, 5.0]);
             let mut highest = f64::NEG_INFINITY;

@@ -69,7 +69,8 @@ pub(super) struct Args {
     /// sensor. frame=paper, gelsight-mini or WIDTHxHEIGHT@MM_PER_PIXEL; scale; optics=measured or
     /// lamps; strength (of the shading, 1 is the paper's); shadows; colour; exposure; markers (pitch
     /// in mm); mottle; jpeg; blur; vignetting; housing; distortion; snr (dB); gel (mm);
-    /// mechanics=elastic or smoothed; wall; side; cut; touching; slots; hole (mm); depth (mm).
+    /// mechanics=elastic or smoothed; wall; side; cut; touching; slots; hole, bead and fillet of
+    /// studs and rings (mm); depth (mm).
     #[arg(long, value_name = "KEY[=VALUE],…", default_value = "", hide_default_value = true)]
     force: Forced,
 }

@@ -375,6 +375,10 @@ pub struct Forced {
     pub slots: Option<Span>,
     /// Diameter of a stud's hole in millimetres.
     pub hole: Option<Span>,
+    /// How far the bead of a stud, or of a ring without slots, stands out, in millimetres.
+    pub bead: Option<Span>,
+    /// Radius of the edges of a stud, or of a ring without slots, in millimetres.
+    pub fillet: Option<Span>,
     /// Depth of snaps in millimetres.
     pub depth: Option<Span>,
 }
@@ -388,7 +392,7 @@ pub struct ForceError {
 }
 
 /// Keys whose values are numbers, with the numbers they take.
-const NUMBERS: [(&str, f64, f64); 16] = [
+const NUMBERS: [(&str, f64, f64); 18] = [
     ("scale", 0.25, 4.0),
     ("strength", 0.1, 10.0),
     ("shadows", 0.0, 1.0),
@@ -404,6 +408,8 @@ const NUMBERS: [(&str, f64, f64); 16] = [
     ("gel", 0.5, 20.0),
     ("slots", 2.0, 6.0),
     ("hole", 0.5, 8.0),
+    ("bead", 0.0, 0.6),
+    ("fillet", 0.02, 1.0),
     ("depth", 0.05, 3.0),
 ];
 
@@ -413,7 +419,8 @@ const FLAGS: [&str; 6] = ["mild", "housing", "wall", "side", "cut", "touching"];
 impl Forced {
     /// Whether snaps are drawn as in plain pictures.
     pub fn leaves_parts_plain(&self) -> bool {
-        let shaped = self.wall.or(self.side).is_some() || self.slots.or(self.hole).is_some();
+        let stud = [self.slots, self.hole, self.bead, self.fillet];
+        let shaped = self.wall.or(self.side).is_some() || stud.iter().any(Option::is_some);
         self.mild && !shaped
     }
 
@@ -458,6 +465,8 @@ impl Forced {
                 "gel" => &mut self.gel,
                 "slots" => &mut self.slots,
                 "hole" => &mut self.hole,
+                "bead" => &mut self.bead,
+                "fillet" => &mut self.fillet,
                 _ => &mut self.depth,
             };
             *target = Some(Span { low, high });

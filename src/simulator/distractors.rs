@@ -4,6 +4,7 @@ use rand::RngExt;
 use rand_pcg::Pcg64;
 
 use super::clutter::Clutter;
+use super::conditions::Forced;
 use super::profile::{rectangle, rounded_edge, smooth_min, stroke};
 use super::snaps::Stud;
 
@@ -208,7 +209,7 @@ impl Distractor {
     }
 
     /// Draws a part of this kind for a wide picture. `None` for [`Part::Nothing`].
-    pub fn sample_wide(rng: &mut Pcg64, part: Part) -> Option<Self> {
+    pub fn sample_wide(rng: &mut Pcg64, part: Part, forced: &Forced) -> Option<Self> {
         let fillet = rng.random_range(0.05..0.3);
         Some(match part {
             Part::Arm => {
@@ -253,7 +254,7 @@ impl Distractor {
                 };
                 Self::Tab { half, upper, step: rng.random_range(0.25..0.9), fillet }
             }
-            Part::Ring => Self::Ring(Stud::unslotted(rng)),
+            Part::Ring => Self::Ring(Stud::unslotted(rng, forced)),
             Part::Screw => {
                 let radius = rng.random_range(1.5..4.5);
                 let (drive, recess) = match rng.random_range(0..3) {

@@ -307,7 +307,7 @@ impl Layout<'_> {
     }
 
     fn add_other(&mut self, part: Part) {
-        let Some(shape) = Distractor::sample_wide(self.rng, part) else { return };
+        let Some(shape) = Distractor::sample_wide(self.rng, part, self.forced) else { return };
         let depth_mm = match shape {
             // A ball is calibrated with: as deep as its half sphere, so that its whole outline shows.
             Distractor::Pin { radius, .. } if part == Part::Ball && self.rng.random_bool(0.6) => {
@@ -361,7 +361,7 @@ impl Layout<'_> {
                     .choose(self.rng)
                     .unwrap_or(&Part::Block),
             };
-            let Some(shape) = Distractor::sample_wide(self.rng, part) else { return };
+            let Some(shape) = Distractor::sample_wide(self.rng, part, self.forced) else { return };
             let Some(other) = shape.half_size() else { return };
             // Beside it, or before its tip.
             let gap = self.rng.random_range(-0.1..0.25);

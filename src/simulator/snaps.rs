@@ -298,9 +298,20 @@ impl Stud {
     }
 
     /// The same ring without slots.
-    pub fn unslotted(rng: &mut Pcg64) -> Self {
+    pub fn unslotted(rng: &mut Pcg64, forced: &Forced) -> Self {
         let area = rng.random_range(14.0..60.0);
-        Self { slots: 0, ..Self::sample_wide(rng, area, Some(2), None) }
+        Self { slots: 0, ..Self::sample_wide(rng, area, Some(2), None) }.edged(rng, forced)
+    }
+
+    /// With the bead and the edges that are forced; an edge is at most round.
+    fn edged(mut self, rng: &mut Pcg64, forced: &Forced) -> Self {
+        if let Some(bead) = forced.bead {
+            self.bead = bead.sample(rng);
+        }
+        if let Some(fillet) = forced.fillet {
+            self.fillet = fillet.sample(rng).min((self.wall + self.bead) / 2.0);
+        }
+        self
     }
 
     /// Diameter of the hole where it is narrowest.
@@ -371,7 +382,7 @@ impl Snap {
             Kind::B => {
                 let slots = forced.slots.map(|span| span.sample(rng).round() as u32);
                 let hole = forced.hole.map(|span| span.sample(rng));
-                Self::Stud(Stud::sample_wide(rng, area, slots, hole))
+                Self::Stud(Stud::sample_wide(rng, area, slots, hole).edged(rng, forced))
             }
         }
     }

@@ -3,10 +3,11 @@
 The temperature divides the class logits; with it goes an offset of each logit but the last
 class's, into the biases. They are those under which the scores of the detections that there
 are before say best how often they are right (least log loss; right: right class, overlap of
-at least half, each snap once). The deviations of yaw and of the centre are multiplied so
-that 68.3 % of the errors lie within one of them: a log variance is an output of
-roi_head.pose, so that goes into its bias. Figures before and after are printed, after on
-the same pictures: others must judge them.
+at least half, each snap once). A deviation s of yaw or of the centre becomes c s^k, with c
+and k such that 68.3 % of the errors lie within one of them, among small and large ones
+alike: a log variance is an output of roi_head.pose, so k scales its row and 2 ln c goes
+into its bias. `--data` decides the scores; the deviations learn from `--deviations` too.
+Figures before and after are printed, after on the same pictures: others must judge them.
 """
 
 import argparse
@@ -99,24 +100,50 @@ def fit_scores(logits: torch.Tensor, labels: torch.Tensor, hits: np.ndarray) -> 
 
 
 def errors(looks: Looks, temperature: float) -> dict[str, np.ndarray]:
-    """|error| over the stated deviation: of whole snaps' yaw, of the centre along x and y; detections above a half that are right."""
-    ratios: dict[str, list] = {"yaw": [], "x": [], "y": []}
+    """Stated deviations and |errors|, [2, N]: of whole snaps' yaw, of the centre along x and y; detections above a half that are right."""
+    pairs: dict[str, list] = {"yaw": [], "x": [], "y": []}
     for truth, detections, found in looks.detections(temperature):
         for i in torch.where((found >= 0) & (detections["scores"] >= 0.5))[0].tolist():
             j = int(found[i])
             shift = (detections["boxes"][i, :2] + detections["boxes"][i, 2:] - truth["boxes"][j, :2] - truth["boxes"][j, 2:]).abs() / 2
             for axis, name in enumerate("xy"):
-                ratios[name].append(float(shift[axis] / looks.config.pixels_per_mm / detections["centre_std"][i, axis]))
+                pairs[name].append((float(detections["centre_std"][i, axis]), float(shift[axis] / looks.config.pixels_per_mm)))
             if truth["whole"][j] and truth["yaw"][j].isfinite() and detections["yaw"][i].isfinite():
                 turn = (float(detections["yaw"][i]) - float(truth["yaw"][j].rad2deg()) + 180) % 360 - 180
-                ratios["yaw"].append(abs(turn) / float(detections["yaw_std"][i]))
-    return {k: np.array(v) for k, v in ratios.items()}
+                pairs["yaw"].append((float(detections["yaw_std"][i]), abs(turn)))
+    return {k: np.array(v).reshape(-1, 2).T for k, v in pairs.items()}
+
+
+def fit_deviations(stated: np.ndarray, error: np.ndarray) -> tuple[float, float]:
+    """The k and ln c under which SHARE of the errors lie within c stated^k, whatever is stated.
+
+    A quantile regression of ln |error| on ln stated (Koenker and Bassett 1978): the least sum of
+    pinball losses over k in steps of 0.01; for each k, ln c is a quantile.
+    """
+    stated, error = np.log(stated), np.log(np.maximum(error, 1e-6))
+
+    def fit(k: float) -> tuple[float, float, float]:
+        rest = error - k * stated
+        shift = float(np.quantile(rest, SHARE))
+        over = rest - shift
+        return float(np.maximum(SHARE * over, (SHARE - 1) * over).sum()), k, shift
+
+    _, k, shift = min(fit(k) for k in np.arange(30, 171) / 100)
+    return float(k), shift
+
+
+def thirds(stated: np.ndarray, error: np.ndarray) -> str:
+    """Shares of the errors within one deviation, of all and by thirds of what is stated."""
+    within = error <= stated
+    parts = [within, *np.array_split(within[np.argsort(stated)], 3)]
+    return "{:.0f} % ({:.0f}, {:.0f}, {:.0f})".format(*(100 * p.mean() for p in parts))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--weights", type=Path, required=True)
     parser.add_argument("--data", type=Path, nargs="+", required=True, help="COCO folders that were not trained on")
+    parser.add_argument("--deviations", type=Path, nargs="+", default=[], help="further ones, for the deviations alone")
     parser.add_argument("--limit", type=int, help="the first pictures of each folder only")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
@@ -133,15 +160,22 @@ def main() -> None:
     scores, hits = looks.scores(best)
     print(f"after: temperature {best}, offsets {[round(o, 3) for o in offsets.tolist()]}, {len(scores)} detections, log loss {log_loss(scores, hits):.4f}, calibration error {calibration_error(scores, hits):.4f}")
     if model.config.pose:
-        outputs = {"yaw": 2, "x": 3, "y": 4}
-        for name, ratio in errors(looks, best).items():
-            if len(ratio) < 20:
-                print(f"{name}: expected at least 20 errors, got {len(ratio)}: left as it is")
+        more = Looks(model, args.deviations, args.limit)
+        found = [errors(each, best) for each in (looks, more)]
+        for name, output in {"yaw": 2, "x": 3, "y": 4}.items():
+            stated, error = np.concatenate([pairs[name] for pairs in found], axis=1)
+            if len(stated) < 60:
+                print(f"{name}: expected at least 60 errors, got {len(stated)}: left as it is")
                 continue
-            factor = float(np.quantile(ratio, SHARE))
-            print(f"{name}: {100 * (ratio <= 1).mean():.1f} % of {len(ratio)} errors within one stated deviation; deviations times {factor:.3f}")
+            k, shift = fit_deviations(stated, error)
+            # The unit of the variance that the row states is rad² or mm².
+            unit = math.radians(1) if name == "yaw" else 1.0
+            after = thirds(np.exp(shift) * stated**k, error)
+            print(f"{name}: {len(stated)} errors, within one stated deviation {thirds(stated, error)}; {math.exp(shift):.3f} s^{k}: {after}")
             with torch.no_grad():
-                model.roi_head.pose.bias[outputs[name]] += 2 * math.log(factor)
+                model.roi_head.pose.weight[output] *= k
+                bias = model.roi_head.pose.bias
+                bias[output] = k * bias[output] + 2 * (shift + (1 - k) * math.log(unit))
     model.config.temperature = best
     weightfile.save(model, args.out)
     print(args.out)

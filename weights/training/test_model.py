@@ -16,6 +16,7 @@ from torchvision.models.detection.image_list import ImageList
 import boxes as bx
 import pose
 import weightfile
+from calibrate import SHARE, fit_deviations
 from count import multiply_adds, stored_bytes
 from data import Snaps, cut, network_input, normalise, orient, read_coco, read_picture, resize_square
 from export import random_model
@@ -213,6 +214,20 @@ def calibration() -> None:
     print("ok calibration: 2")
 
 
+def deviations() -> None:
+    # Normal errors whose deviation is 2 sqrt(stated): the fit finds the law, and with it each third is right.
+    rng = np.random.default_rng(5)
+    stated = np.exp(rng.uniform(-2, 2, 30_000))
+    error = np.abs(rng.normal(0, 2 * np.sqrt(stated)))
+    k, shift = fit_deviations(stated, error)
+    assert abs(k - 0.5) <= 0.03 and abs(shift - math.log(2)) <= 0.03, (k, shift)
+    within = (error <= math.exp(shift) * stated**k)[np.argsort(stated)]
+    for third in np.array_split(within, 3):
+        # 10 000 trials: four deviations are 0.019.
+        assert abs(third.mean() - SHARE) <= 0.02, third.mean()
+    print(f"ok deviations: 2 s^0.5, found {math.exp(shift):.2f} s^{k}")
+
+
 def networks() -> None:
     large, small = (SmrNet(Config(pose=True, **NETWORKS[name])) for name in ("large", "small"))
     assert multiply_adds(small) * 8 <= multiply_adds(large), f"{multiply_adds(small)} of {multiply_adds(large)}"
@@ -267,5 +282,6 @@ if __name__ == "__main__":
     pose_likelihoods()
     detections()
     calibration()
+    deviations()
     networks()
     weight_files()

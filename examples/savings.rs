@@ -94,7 +94,7 @@ impl Look {
         Self {
             ms: ms(found.wall),
             untouched: found.contact == Some(false),
-            parts: found.regions.as_ref().map(Vec::len),
+            parts: found.regions.as_ref().map(Vec::len).filter(|parts| *parts > 0),
             stages: found.stages.iter().map(stage).collect(),
         }
     }

@@ -75,7 +75,7 @@ fn print(name: &str, found: &[Detections], data: &Dataset) {
         at(&ms, 1.0),
         count(|f| f.reused),
         count(|f| f.contact == Some(false)),
-        count(|f| f.regions.is_some()),
+        count(|f| f.regions.as_ref().is_some_and(|parts| !parts.is_empty())),
         at(&errors, 0.5),
         at(&errors, 1.0),
     );

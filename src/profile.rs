@@ -184,7 +184,7 @@ fn slot(gpu: &Arc<Gpu>, lowered: &Lowered) -> Result<Slot> {
 /// # Errors
 /// As [`commands`].
 pub fn roof(gpu: &Arc<Gpu>, runs: usize) -> Result<Roof> {
-    let mut recording = Recording::new(1, gpu.caps().clone());
+    let mut recording = Recording::new(1, Precision::F32, gpu.caps().clone());
     recording.begin_stage("roof");
     roof::record(&mut recording);
     let lowered = Lowered {

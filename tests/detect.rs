@@ -212,6 +212,7 @@ fn impossible_configurations_are_refused() {
         ("max_detections", refused(&|c| c.max_detections = 0)),
         ("max_detections", refused(&|c| c.max_detections = 101)),
         ("classes", refused(&|c| c.classes = vec!["screw".into()])),
+        ("input_size", refused(&|c| c.input_size = Some(usize::MAX))),
     ] {
         assert!(matches!(&error, Error::Param { param, .. } if param == name), "{error}");
     }

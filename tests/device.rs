@@ -1,11 +1,13 @@
 //! What the device must survive or report: its loss, a time limit, sizes past its limits.
 
+use std::future::Future;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::task::{Context, Waker};
 use std::time::Duration;
 
 use smr_gpu::Error;
-use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions, ProgramOptions, Slot, wgpu};
+use smr_gpu::gpu::{AdapterChoice, Deadline, Gpu, GpuOptions, ProgramOptions, Slot, wgpu};
 use smr_gpu::graph::{Graph, TensorId};
 use smr_gpu::ops::case::random;
 use smr_gpu::ops::{Conv2d, MaxPool2d};
@@ -72,26 +74,46 @@ fn a_tensor_past_the_binding_limit_is_refused() {
     }
 }
 
-/// After a time limit ran out the same plan runs again: nothing is left pending.
+const LONG: Duration = Duration::from_secs(60);
+
+/// A slot of a convolution that takes a device some milliseconds, with a time limit.
+fn convolution(timeout: Duration) -> Slot {
+    let gpu = open(|o| o.timeout = timeout).expect("an adapter");
+    let mut graph = Graph::default();
+    let op = Conv2d { padding: 1, bias: false, ..Conv2d::default() };
+    let input = graph.constant("input", random(1, [64, 80, 80]));
+    let weight = graph.constant("weight", random(2, [64, 64, 3, 3]));
+    let output = graph.apply1("conv", op, &[input, weight]).expect("a map");
+    graph.mark_output(output);
+    slot(&gpu, &graph).expect("a slot")
+}
+
+/// After a time limit ran out the same slot runs again: nothing is left pending.
 #[test]
-fn a_time_limit_is_a_typed_error_and_leaves_the_plan_usable() {
-    let run = |timeout| {
-        let gpu = open(|o| o.timeout = timeout).expect("an adapter");
-        let mut graph = Graph::default();
-        let op = Conv2d { padding: 1, bias: false, ..Conv2d::default() };
-        let input = graph.constant("input", random(1, [64, 80, 80]));
-        let weight = graph.constant("weight", random(2, [64, 64, 3, 3]));
-        let output = graph.apply1("conv", op, &[input, weight]).expect("a map");
-        graph.mark_output(output);
-        let mut slot = slot(&gpu, &graph).expect("a slot");
-        [slot.run(&[]).map(|_| ()), slot.run(&[]).map(|_| ())]
-    };
-    for result in run(Duration::ZERO) {
+fn a_time_limit_is_a_typed_error_and_leaves_the_slot_usable() {
+    let mut hurried = convolution(Duration::ZERO);
+    for result in [hurried.run(&[]), hurried.run(&[])] {
         assert!(matches!(result, Err(Error::Timeout { .. })), "{result:?}");
     }
-    for result in run(Duration::from_secs(60)) {
-        result.expect("a run");
-    }
+    let mut slot = convolution(LONG);
+    slot.submit(&[&[]]).expect("a submission");
+    let result = pollster::block_on(slot.receive(Deadline::after(Duration::ZERO)));
+    assert!(matches!(result, Err(Error::Timeout { .. })), "{result:?}");
+    slot.run(&[]).expect("a run");
+}
+
+/// Who drops the future of a run leaves its slot busy until the device is done, not free with a buffer that
+/// is still to be mapped.
+#[test]
+fn a_run_that_is_given_up_is_waited_for() {
+    let mut slot = convolution(LONG);
+    slot.submit(&[&[]]).expect("a submission");
+    let mut given_up = Box::pin(slot.receive(Deadline::after(LONG)));
+    let polled = given_up.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+    assert!(polled.is_pending());
+    drop(given_up);
+    assert!(slot.submit(&[&[]]).is_err(), "the run is under way");
+    slot.run(&[]).expect("a run");
 }
 
 /// One thread's wait may run another's callbacks: each thread must still get its own values, and

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use smr_gpu::detector::MOST_REUSED;
 use smr_gpu::gpu::AdapterChoice;
 use smr_gpu::metrics::box_iou;
-use smr_gpu::{Config, Device, Frame, GpuDetector, PixelFormat, Scene, picture};
+use smr_gpu::{Config, Device, Frame, GpuDetector, PixelFormat, Precision, Scene, picture};
 
 const SIDE: u32 = 1000;
 
@@ -53,6 +53,7 @@ fn without_contact_the_network_does_not_run() {
         let detector = GpuDetector::new(config(device.clone(), scene)).expect("a detector");
         let bare = detector.detect_frame(&gel(1, 1.0, |_, _| 0.0)).expect("detections");
         assert_eq!((bare.contact, bare.detections.len()), (Some(false), 0), "{device:?}");
+        assert_eq!(bare.regions, Some(vec![]), "nobody looked anywhere");
         assert!(bare.stages.iter().all(|time| time.stage == "contact"), "{:?}", bare.stages);
         assert_eq!((bare.width, bare.mm_per_pixel, bare.proposals), (SIDE, 0.04, 0));
     }
@@ -191,7 +192,8 @@ fn impossible_scenes_are_refused() {
 fn a_stream_keeps_what_did_not_change_and_no_longer_than_stated() {
     let scene = Scene { contact: true, ..Scene::FULL };
     for device in [Device::Gpu(AdapterChoice::Auto), Device::Cpu] {
-        let detector = GpuDetector::new(config(device, scene)).expect("a detector");
+        let config = config(device, scene).precision(Precision::F16);
+        let detector = GpuDetector::new(config).expect("a detector");
         let mut stream = detector.stream();
         // Noise changes, and the light, a little.
         let still = |seed: u32| gel(seed, 1.0 - 0.002 * (seed % 5) as f32, disc(400, 400));
@@ -199,6 +201,7 @@ fn a_stream_keeps_what_did_not_change_and_no_longer_than_stated() {
         for seed in 0..MOST_REUSED + 3 {
             let found = stream.detect(&still(seed)).expect("detections");
             assert_eq!(found.contact, Some(true));
+            assert_eq!(found.precision, detector.precision(), "as the frame that it equals");
             reused.push(found.reused);
         }
         let computed: Vec<usize> = (0..reused.len()).filter(|i| !reused[*i]).collect();

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use safetensors::tensor::{Dtype, TensorView};
 use serde_json::{Value as Json, json};
+use smr_gpu::Error;
 use smr_gpu::gpu::{ProgramOptions, Slot};
 use smr_gpu::model::{MAX_FILE, ModelConfig, Network, Thresholds, Variant, Weights};
 use smr_gpu::tensor::{Tensor, Value};
@@ -349,6 +350,26 @@ fn every_value_of_the_configuration_has_a_range() {
     assert!(error.to_string().contains("reduction: expected 1 to 64, got 0"), "{error}");
 }
 
+/// All numbers are in their ranges, and together they ask for gigabytes: 4096 maps of 720 × 720 after the
+/// first convolution.
+#[test]
+fn a_network_that_no_device_need_hold_is_refused_before_it_runs() {
+    let mut config = parsed(&config(FULL));
+    let at = |config: &ModelConfig| {
+        Network::new(Weights::random(config.clone(), 1), [1440; 2], Thresholds::ALL)
+    };
+    // The paper's network at the largest input: 64 such maps are 126.6 MiB.
+    at(&config).expect("a network");
+    config.stem = 4096;
+    match at(&config) {
+        Err(Error::Capacity { needed, available, what }) => {
+            assert_eq!((needed, available), (4096 * 720 * 720 * 4, 128 << 20));
+            assert!(what.contains("backbone.conv1"), "{what}");
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
 #[test]
 fn every_value_of_format_2_has_a_range() {
     let with = |key: &str, value: &str| {
@@ -440,6 +461,23 @@ fn hostile_files_are_refused_by_name() {
     for variance in [0.0, 1e-45, 3e38] {
         assert_eq!(refusal(&with("backbone.bn1.running_var", variance)), "accepted");
     }
+}
+
+/// Tensors are read when they are wanted: what was written over a file meanwhile is not mixed with what was
+/// looked at.
+#[test]
+fn a_file_that_is_written_to_after_it_was_opened_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("w.safetensors");
+    std::fs::write(&path, file(&config(FULL), &tensors(&config(FULL)))).expect("written");
+    let weights = Weights::open(&path).expect("the weights");
+    let network = || Network::new(weights.clone(), [32; 2], Thresholds::ALL);
+    network().expect("a network");
+    let later = std::time::SystemTime::now() + std::time::Duration::from_secs(1);
+    let written = std::fs::File::options().write(true).open(&path).expect("the file");
+    written.set_modified(later).expect("a time");
+    let message = network().expect_err("a change").to_string();
+    assert!(message.contains("w.safetensors: expected the file as it was opened"), "{message}");
 }
 
 #[cfg(unix)]

@@ -41,7 +41,7 @@ pub(super) struct Args {
 #[derive(Serialize)]
 struct Record<'a> {
     file: String,
-    adapter: &'a str,
+    adapter: String,
     ok: bool,
     stages: Vec<Stage<'a>>,
     snaps: usize,

@@ -1,6 +1,6 @@
 //! `smr-gpu detect`: finds the snaps in pictures, prints and draws them.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -41,6 +41,7 @@ pub(super) struct Args {
 
     /// Show detections with a score above this (0 to 1).
     #[arg(long, default_value_t = 0.5, value_name = "SCORE", value_parser = fraction)]
+    #[arg(allow_negative_numbers = true)]
     conf: f32,
 
     /// Show at most so many detections a picture (1 to 100).
@@ -53,8 +54,9 @@ pub(super) struct Args {
     classes: Vec<String>,
 
     /// Write every stage's tensor, under the PyTorch model's names; for one picture. A tensor inside
-    /// a stage has the name of the layer that made it, after batch norm, residual and ReLU.
-    #[arg(long, value_name = "FILE.safetensors")]
+    /// a stage has the name of the layer that made it, after batch norm, residual and ReLU. Nothing is left
+    /// out then, as with --exact.
+    #[arg(long, value_name = "FILE.safetensors", conflicts_with = "leave_out")]
     dump_stages: Option<PathBuf>,
 
     /// Run as the table says that `smr-gpu tradeoff` wrote, on whole pictures: the fastest configuration within
@@ -86,12 +88,12 @@ struct Record<'a> {
     detections: &'a [Detection],
     /// Whether something touches the gel; null where nobody looked.
     contact: Option<bool>,
-    /// The parts of the picture that the network looked at; null for all of it.
+    /// The parts of the picture that the network looked at, if any; null for all of it.
     regions: Option<&'a [Rect]>,
     /// What was left out, and why.
     left_out: Vec<String>,
     timings_ms: Timings<'a>,
-    adapter: &'a str,
+    adapter: String,
     precision: Precision,
     /// The choice of kernels: where it is equal, so are the bits.
     kernels: String,
@@ -143,7 +145,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         table.heading()?;
     }
     let (mut pictures, mut snaps, start) = (0, 0, Instant::now());
-    let mut assumed = false;
+    let mut assumed = HashSet::new();
     for source in &sources {
         let picture = match picture::read(source) {
             Ok(picture) => picture,
@@ -155,17 +157,20 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         };
         let (found, stages) = match look(&detector, source, &picture, &args) {
             Ok(found) => found,
-            Err(Failure { exit: Exit::Inputs, message }) => {
+            // A device that was late for one picture may not be for the next.
+            Err(Failure { exit: why @ (Exit::Inputs | Exit::Lost), message }) => {
                 message.into_iter().for_each(tell);
-                exit = exit.max(Exit::Inputs);
+                exit = exit.max(why);
                 continue;
             }
             Err(failure) => return Err(failure.told()),
         };
-        if let Some(what) = detector.assumption(found.width, found.height).filter(|_| !assumed) {
-            // Once: the others are most likely of the same sensor.
+        let size = (found.width, found.height);
+        if let Some(what) = detector.assumption(size.0, size.1)
+            && assumed.insert(size)
+        {
+            // Once a size: others of it are most likely of the same sensor.
             tell(format!("{source}: {what}; --sensor or --mm-per-pixel say better"));
-            assumed = true;
         }
         if found.precision != detector.precision() {
             tell(format!("{source}: past what f16 holds; looked at again in f32"));
@@ -223,7 +228,7 @@ fn dump(
         .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", file.display())))?;
     let metadata = HashMap::from([
         ("picture".to_owned(), source.to_string()),
-        ("adapter".to_owned(), detector.adapter().to_owned()),
+        ("adapter".to_owned(), detector.adapter()),
         ("config".to_owned(), config),
     ]);
     let stages = stages.iter().map(|(name, value)| (name.as_str(), value));

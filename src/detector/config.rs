@@ -128,7 +128,9 @@ pub struct Config {
     pub max_detections: usize,
     /// Names of the wanted classes; empty for all.
     pub classes: Vec<String>,
-    /// Longest wait for one picture on a GPU, from the call on.
+    /// Longest wait for one picture on a GPU, from the call on; without the time that it takes to make ready for
+    /// a size that no picture had lately. Of pictures that [`GpuDetector::detect_many`] begins ahead, each run
+    /// has it for itself.
     pub timeout: Duration,
     /// Build everything anew when the device was lost, once a call, so that the next picture is found
     /// like any other.

@@ -58,7 +58,8 @@ pub struct Detections {
     /// does, the network did not run.
     #[cfg_attr(feature = "serde", serde(default))]
     pub contact: Option<bool>,
-    /// The parts of the frame that the network looked at, with what is in contact; `None` for all of it.
+    /// The parts of the frame that the network looked at, with what is in contact; empty where nothing is,
+    /// `None` for all of it.
     #[cfg_attr(feature = "serde", serde(default))]
     pub regions: Option<Vec<Rect>>,
     /// Whether the frame is as one before it in a stream, so that its detections are that one's.

@@ -35,7 +35,9 @@ impl Geometry {
             None => f64::from(model.pixels_per_mm) * f64::from(view.mm_per_pixel),
         };
         let resized = part.map(|side| ((side * scale).round() as usize).max(1));
-        let [width, height] = resized.map(|side| side.next_multiple_of(32));
+        // A side past all numbers stays as it is, and is refused.
+        let padded = |side: usize| side.checked_next_multiple_of(32).unwrap_or(side);
+        let [width, height] = resized.map(padded);
         for side in [width, height] {
             if !ModelConfig::is_input_size(side) {
                 let expected = ModelConfig::INPUT_SIZES;

@@ -65,7 +65,8 @@ impl<'a> Sight<'a> {
         let rects = || self.windows.iter().map(|window| self.input.rect(window)).collect();
         Detections {
             contact: self.contact,
-            regions: self.in_parts.then(rects),
+            // Where nothing touches it is no part.
+            regions: (self.in_parts || self.windows.is_empty()).then(rects),
             proposals,
             precision,
             stages,
@@ -219,7 +220,8 @@ async fn run(
     deadline: Deadline,
 ) -> Result<Vec<Result<Seen>>> {
     let Some(first) = jobs.first() else { return Ok(Vec::new()) };
-    let engine = engines.engine(first.kind(precision, jobs.len()))?;
+    let (engine, deadline) = deadline.beside(|| engines.engine(first.kind(precision, jobs.len())));
+    let engine = engine?;
     let network = &engine.network;
     let crops: Vec<_> =
         jobs.iter().map(|job| job.input.part(&job.window)).collect::<Result<_>>()?;

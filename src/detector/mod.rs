@@ -66,7 +66,6 @@ pub type Stages = Vec<(String, Value)>;
 pub struct GpuDetector {
     config: Config,
     model: ModelConfig,
-    adapter: String,
     /// Replaced when the device was lost.
     engines: RwLock<Arc<Engines>>,
     /// The frame without contact as the last view shows it.
@@ -127,10 +126,10 @@ impl GpuDetector {
             sensor.check()?;
         }
         let engines = Engines::open(&config, gpu).await?;
-        let (model, adapter) = (engines.model().clone(), engines.adapter.clone());
+        let model = engines.model().clone();
         let (engines, rebuilding) = (RwLock::new(Arc::new(engines)), Mutex::new(()));
         let reference = Mutex::default();
-        let detector = Self { config, model, adapter, engines, reference, rebuilding, foreign };
+        let detector = Self { config, model, engines, reference, rebuilding, foreign };
         match detector.usual_frame() {
             Some(frame) => detector.prepare(frame)?,
             None => detector.engines().check()?,
@@ -211,9 +210,9 @@ impl GpuDetector {
         &self.model
     }
 
-    /// Name of what runs the network.
-    pub fn adapter(&self) -> &str {
-        &self.adapter
+    /// Name of what runs the network: another where a lost device came back otherwise.
+    pub fn adapter(&self) -> String {
+        self.engines().adapter.clone()
     }
 
     /// Which kernels run the network on a GPU: equal bits are promised for equal choices.
@@ -295,8 +294,9 @@ impl GpuDetector {
         pollster::block_on(self.detect_async(frame))
     }
 
-    /// [`GpuDetector::detect_frame`] for callers with an executor of their own. On a GPU nothing
-    /// blocks; the CPU computes before the future is ready.
+    /// [`GpuDetector::detect_frame`] for callers with an executor of their own. Waiting for a GPU does not
+    /// block; making ready for a size that no picture had lately does, and opening a new device in place of a
+    /// lost one. The CPU computes before the future is ready.
     ///
     /// # Errors
     /// As [`GpuDetector::detect_frame`].
@@ -357,7 +357,8 @@ impl GpuDetector {
     }
 
     async fn detect_together(&self, frames: &[Frame<'_>]) -> Vec<Result<Detections>> {
-        let deadline = Deadline::after(self.config.timeout);
+        // Its caller may come back for them late.
+        let deadline = Deadline::of_each_run(self.config.timeout);
         let engines = self.engines();
         // By the frame's place.
         let mut found = BTreeMap::new();
@@ -395,8 +396,8 @@ impl GpuDetector {
         let cells = contact::cells(&input.view);
         let reference = self.reference(&input.view)?;
         let kind = contact::Kind { cells, reference: reference.is_some(), stream };
-        let look = engines.contact(kind)?;
-        look.look(input, reference.as_deref(), before, deadline).await
+        let (look, deadline) = deadline.beside(|| engines.contact(kind));
+        look?.look(input, reference.as_deref(), before, deadline).await
     }
 
     /// The cells of [`Config::reference`] in a view, if it has the size of the view's frames.
@@ -580,7 +581,12 @@ impl GpuDetector {
         if !Arc::ptr_eq(&current, lost) {
             return Ok(current);
         }
-        let engines = Arc::new(pollster::block_on(Engines::open(&self.config, None))?);
+        let mut engines = pollster::block_on(Engines::open(&self.config, None))?;
+        if engines.adapter != lost.adapter {
+            let remark = format!("{} was lost: {} goes on", lost.adapter, engines.adapter);
+            engines.remarks.push(remark);
+        }
+        let engines = Arc::new(engines);
         *self.engines.write().unwrap_or_else(PoisonError::into_inner) = engines.clone();
         Ok(engines)
     }

@@ -112,6 +112,7 @@ impl Runner {
                 plan.lock().unwrap_or_else(PoisonError::into_inner).run(graph, inputs)
             }),
             Self::Gpu(pool) => {
+                let deadline = deadline.of_run();
                 let mut slot = pool.take(deadline).await?;
                 slot.submit(pictures)?;
                 let run = slot.receive(deadline).await?;

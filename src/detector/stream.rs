@@ -72,6 +72,7 @@ impl<'a> Stream<'a> {
                 contact: found.contact,
                 regions: found.regions.clone(),
                 proposals: found.proposals,
+                precision: found.precision,
                 reused: true,
                 stages: look.stages,
                 ..input.report(found.detections.clone())

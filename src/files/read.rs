@@ -33,6 +33,14 @@ pub fn open(path: &Path) -> Result<(File, u64)> {
 /// As [`open`]; [`ErrorKind::FileTooLarge`] for a longer file, of which nothing is read.
 pub fn read(path: &Path, limit: u64) -> Result<Vec<u8>> {
     let (file, length) = open(path)?;
+    read_open(&file, length, limit)
+}
+
+/// [`read`] of a file that [`open`] opened, from where it stands.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_open(file: &File, length: u64, limit: u64) -> Result<Vec<u8>> {
     check_length(length, limit)?;
     let mut bytes = Vec::with_capacity(length as usize);
     // It may grow meanwhile.

@@ -13,15 +13,36 @@ use crate::gpu::native::Alarm;
 /// Until when a caller waits, and what it asked for.
 #[derive(Clone, Copy, Debug)]
 pub struct Deadline {
-    /// `None` for a time past the end of the clock.
+    /// `None` for a time past the end of the clock, and before a run of its own began.
     at: Option<Instant>,
     limit: Duration,
+    /// Whether each run has the limit for itself.
+    is_of_each_run: bool,
 }
 
 impl Deadline {
     /// So long from now.
     pub fn after(limit: Duration) -> Self {
-        Self { at: Instant::now().checked_add(limit), limit }
+        Self { at: Instant::now().checked_add(limit), limit, is_of_each_run: false }
+    }
+
+    /// So long from the beginning of each run: for pictures that are begun before anybody asks for them.
+    pub(crate) fn of_each_run(limit: Duration) -> Self {
+        Self { at: None, limit, is_of_each_run: true }
+    }
+
+    /// That of a run that begins now.
+    pub(crate) fn of_run(self) -> Self {
+        if self.is_of_each_run { Self::after(self.limit) } else { self }
+    }
+
+    /// What `work` gives, and the deadline as much later as it took: what is made ready once is not a picture's
+    /// own.
+    pub(crate) fn beside<T>(self, work: impl FnOnce() -> T) -> (T, Self) {
+        let began = Instant::now();
+        let given = work();
+        let at = self.at.and_then(|at| at.checked_add(began.elapsed()));
+        (given, Self { at, ..self })
     }
 
     /// Whether the time is up.

@@ -161,13 +161,19 @@ impl Clock {
         Alarm { key, state: self.state.clone() }
     }
 
-    fn run((alarms, changed): &(Mutex<Alarms>, Condvar)) {
-        let mut alarms = lock(alarms);
+    fn run((mutex, changed): &(Mutex<Alarms>, Condvar)) {
+        let mut alarms = lock(mutex);
         while !alarms.ended {
             let now = Instant::now();
             let later = alarms.wakers.split_off(&(now, u64::MAX));
             let due = std::mem::replace(&mut alarms.wakers, later);
-            due.into_values().for_each(Waker::wake);
+            if !due.is_empty() {
+                // A woken task may drop alarms, which takes the lock.
+                drop(alarms);
+                due.into_values().for_each(Waker::wake);
+                alarms = lock(mutex);
+                continue;
+            }
             let first = alarms.wakers.first_key_value().map(|((time, _), _)| *time);
             alarms = match first {
                 None => changed.wait(alarms).unwrap_or_else(PoisonError::into_inner),

@@ -465,3 +465,43 @@ fn stage_ranges(recording: &Recording) -> Vec<(String, std::ops::Range<usize>)> 
     let ends: Vec<usize> = starts.iter().skip(1).map(|s| s.1).chain([total]).collect();
     starts.into_iter().zip(ends).map(|((name, start), end)| (name, start..end)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::{GpuOptions, Slot};
+    use crate::graph::Graph;
+    use crate::lower::{Choice, Request, lower};
+    use crate::ops::Conv2d;
+    use crate::shape::TensorSpec;
+    use crate::tensor::{Tensor, Value};
+
+    /// Two kernels of one convolution pack the same weights otherwise, in textures of one size.
+    #[test]
+    fn programs_share_only_weights_that_are_packed_alike() {
+        let gpu = pollster::block_on(Gpu::open(GpuOptions::default())).expect("an adapter");
+        let mut graph = Graph::default();
+        let small = |i: usize| (i * 7 % 11) as f32;
+        let input = graph.input("input", TensorSpec::f32([8, 4, 4]), Extent::Exact);
+        let weight = graph.constant("weight", Tensor::from_fn([16, 8, 1, 1], small));
+        let op = Conv2d { bias: false, ..Conv2d::default() };
+        let output = graph.apply1("conv", op, &[input, weight]).expect("a map");
+        graph.mark_output(output);
+        // Whole numbers, so that no order of sums matters.
+        let value = Value::from(Tensor::from_fn([8, 4, 4], small));
+        let run = |id: &str, like: Option<&Program>| {
+            let choice = Choice::force(id).expect("a kernel");
+            let (caps, choice) = (gpu.caps(), &choice);
+            let request = Request { keep: &[], batch: 1, precision: Precision::F32, caps, choice };
+            let lowered = lower(&graph, &request).expect("kernels");
+            let program = Program::new(&gpu, &lowered, like, ProgramOptions::default());
+            let program = Arc::new(pollster::block_on(program).expect("a program"));
+            let mut slot = pollster::block_on(Slot::new(&program)).expect("a slot");
+            let got = slot.run(&[(input, &value)]).expect("a run").first()[&output].clone();
+            (program, got)
+        };
+        let (alone, want) = run("conv2d/alone", None);
+        let (_, got) = run("conv2d/direct", Some(&alone));
+        assert_eq!(got, want);
+    }
+}

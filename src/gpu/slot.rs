@@ -520,15 +520,17 @@ impl Slot {
     /// [`Error::Driver`] from the device.
     pub async fn receive(&mut self, deadline: Deadline) -> Result<RunOutput> {
         let none = || Error::tensor("run", "slot", "a run under way", "none");
-        let landing = self.in_flight.take().ok_or_else(none)?;
+        // Until the wait is over the run is under way, also for who gives this future up.
+        let landing = self.in_flight.clone().ok_or_else(none)?;
         let gpu = self.program.gpu.clone();
         if let Err(e) = landing.wait(&gpu, deadline, "the network").await {
-            match e {
-                Error::Timeout { .. } => self.in_flight = Some(landing),
-                _ => self.give_staging_up(),
+            if !matches!(e, Error::Timeout { .. }) {
+                self.in_flight = None;
+                self.give_staging_up();
             }
             return Err(e);
         }
+        self.in_flight = None;
         let output = self.read(&landing);
         match &output {
             Err(Error::Driver { .. }) => {
@@ -585,13 +587,13 @@ impl Slot {
                     Value::from_bytes(&info.spec, &bytes[start..end])?
                 }
                 Layout::Quads | Layout::Texture => {
-                    let (caps, precision) = (program.gpu.caps(), info.precision);
-                    let quads = Quads::of(&info.spec, precision, program.batch, caps);
+                    let (caps, batch) = (program.gpu.caps(), program.batch);
+                    let quads = Quads::of(&info.spec, program.precision(), batch, caps);
                     let wrong = || Error::tensor("run", &info.name, "a map [C, H, W]", &info.spec);
                     let quads =
                         quads.filter(|_| info.spec.dtype == DType::F32).ok_or_else(wrong)?;
                     let end = start + info.stride as usize;
-                    let texels = precision.decode(&bytes[start..end]);
+                    let texels = info.precision.decode(&bytes[start..end]);
                     Tensor::new(info.spec.shape.clone(), quads.unpack(&texels))?.into()
                 }
             };

@@ -45,7 +45,8 @@ pub struct Quads {
 }
 
 impl Quads {
-    /// The arrangement of a map for `batch` pictures, stored in `precision`; `None` for what is no map
+    /// The arrangement of a map for `batch` pictures in a program that stores maps in `precision`, also of those
+    /// that it stores in f32: kernels write a map where another of its size lies. `None` for what is no map
     /// `[C, H, W]`, is too large for the adapter's textures however it is arranged, or has more rows of
     /// quads than a dimension of a grid has workgroups.
     pub fn of(spec: &TensorSpec, precision: Precision, batch: u32, caps: &Caps) -> Option<Self> {

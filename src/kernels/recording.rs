@@ -197,6 +197,7 @@ pub struct Stage {
 #[derive(Clone, Debug)]
 pub struct Recording {
     batch: u32,
+    precision: Precision,
     caps: Caps,
     tensors: Vec<TensorInfo>,
     commands: Vec<Command>,
@@ -204,9 +205,10 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// An empty one, for so many pictures at a time.
-    pub fn new(batch: u32, caps: Caps) -> Self {
-        Self { batch, caps, tensors: Vec::new(), commands: Vec::new(), stages: Vec::new() }
+    /// An empty one, for so many pictures at a time and maps that may be stored in `precision`.
+    pub fn new(batch: u32, precision: Precision, caps: Caps) -> Self {
+        let (tensors, commands, stages) = (Vec::new(), Vec::new(), Vec::new());
+        Self { batch, precision, caps, tensors, commands, stages }
     }
 
     /// Pictures at a time.
@@ -254,7 +256,7 @@ impl Recording {
         if layout == Layout::Planar {
             return Ok(self.tensor(name, spec, Role::Transient));
         }
-        let quads = Quads::of(&spec, precision, self.batch, &self.caps);
+        let quads = Quads::of(&spec, self.precision, self.batch, &self.caps);
         let quads =
             quads.ok_or_else(|| Error::tensor("layout", &name, "a map [C, H, W]", &spec))?;
         let stride = quads.texels() * u64::from(precision.texel_bytes());
@@ -275,7 +277,7 @@ impl Recording {
     /// As [`Recording::map`].
     pub fn quads(&self, id: TensorId) -> Result<Quads> {
         let info = self.info(id);
-        let quads = Quads::of(&info.spec, info.precision, self.batch, &self.caps);
+        let quads = Quads::of(&info.spec, self.precision, self.batch, &self.caps);
         quads.ok_or_else(|| Error::tensor("layout", &info.name, "a map [C, H, W]", &info.spec))
     }
 

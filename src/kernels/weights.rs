@@ -30,6 +30,8 @@ pub(super) struct Packing<F> {
     pub texels: TensorSpec,
     /// Outputs, with the padding.
     pub outputs: usize,
+    /// Outputs that lie side by side.
+    pub tile: usize,
     /// How often the outputs come one after the other.
     pub copies: usize,
     /// Makes the texels; what an output's weights are multiplied with, so are its texels.
@@ -45,8 +47,9 @@ impl<F: Fn(&Tensor) -> Tensor + Send + Sync + 'static> Packing<F> {
         weight: &Constant,
         precision: Precision,
     ) -> Stored {
-        let Self { texels, outputs, copies, pack } = self;
-        let label = format!("{name} (packed)");
+        let Self { texels, outputs, tile, copies, pack } = self;
+        // Programs share constants by name and size: what lies otherwise needs another name.
+        let label = format!("{name} (packed {copies} x {tile})");
         if precision == Precision::F32 {
             let packed = weight.packed(texels, pack);
             let texels = recording.constant_texture(label, packed, precision);

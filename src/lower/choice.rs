@@ -42,14 +42,15 @@ impl Choice {
         })
     }
 
-    /// An operation with its parameters and shapes, and the precision where that is not f32.
+    /// An operation with its parameters and shapes, and the precision where that is not f32. One for all
+    /// batches: a picture's bits must not depend on those beside it.
     pub fn key(work: &Work) -> String {
         let settings = work.op.settings();
         let settings = settings.iter().map(|(name, value)| format!("{name}={value}"));
         let shapes = work.inputs.iter().map(ToString::to_string);
         let words = settings.chain(shapes).collect::<Vec<_>>().join(" ");
         let precision = if work.precision.is_half() { " f16" } else { "" };
-        format!("{} {words} x{}{precision}", work.op.name(), work.batch)
+        format!("{} {words}{precision}", work.op.name())
     }
 
     /// The kernel for `work`.

@@ -104,6 +104,7 @@ mod tests {
     use super::*;
     use crate::graph::TensorId;
     use crate::kernels::{Caps, Dispatch, Grid, Role};
+    use crate::precision::Precision;
     use crate::shader::{ParamLayout, Shader};
     use crate::shape::{Extent, TensorSpec};
 
@@ -118,7 +119,7 @@ mod tests {
 
     #[test]
     fn a_chain_needs_two_buffers_and_outputs_are_kept() {
-        let mut r = Recording::new(1, Caps::default());
+        let mut r = Recording::new(1, Precision::F32, Caps::default());
         let input = r.tensor("input", TensorSpec::f32([8]), Role::Input(Extent::Exact));
         let t: Vec<_> = (0..4).map(|_| r.scratch("t", TensorSpec::f32([8]))).collect();
         let output = r.tensor("output", TensorSpec::f32([8]), Role::Output);

@@ -71,7 +71,7 @@ pub fn lower(graph: &Graph, request: &Request) -> Result<Lowered> {
     let live = live(graph, &wanted);
     let mut layouts = Layouts {
         graph,
-        recording: Recording::new(request.batch, request.caps.clone()),
+        recording: Recording::new(request.batch, request.precision, request.caps.clone()),
         versions: HashMap::new(),
         planar: HashSet::new(),
     };

@@ -25,6 +25,8 @@ use crate::shape::{Extent, TensorSpec};
 
 /// Pixels of the largest picture: as RGBA8 they fill the 128 MiB that every device can bind.
 pub const MAX_PIXELS: usize = (128 << 20) / 4;
+/// Bytes of the largest tensor of a network: WebGPU's default limit of what a shader binds.
+const MOST_BYTES: u64 = 128 << 20;
 
 /// The whole network as a graph, with the ids of what goes in and comes out.
 pub struct Network {
@@ -115,7 +117,9 @@ impl Network {
     ///
     /// # Errors
     /// [`Error::Weights`] for a configuration out of its ranges and for tensors that are missing,
-    /// misshapen or left over; [`Error::Param`] for a size that is not [`ModelConfig::INPUT_SIZES`].
+    /// misshapen or left over; [`Error::Param`] for a size that is not [`ModelConfig::INPUT_SIZES`];
+    /// [`Error::Capacity`] for a tensor that no device need hold, by WebGPU's limits, so that no weight file
+    /// asks the CPU for gigabytes.
     pub fn new(mut weights: Weights, size: [usize; 2], thresholds: Thresholds) -> Result<Self> {
         let config = weights.config().clone();
         // Untrained weights come with a configuration that nothing has looked at yet.
@@ -141,6 +145,14 @@ impl Network {
         let proposals = rpn::rpn(&mut graph, &mut weights, settings, fused)?;
         let head = roi_head::roi_head(&mut graph, &mut weights, settings, fused, proposals)?;
         weights.finish()?;
+        for id in graph.computed() {
+            let (name, spec) = (graph.name(id), graph.spec(id));
+            if spec.bytes() > MOST_BYTES {
+                let what = format!("bytes for tensor `{name}` ({spec})");
+                let (needed, available) = (spec.bytes(), MOST_BYTES);
+                return Err(Error::Capacity { what, needed, available });
+            }
+        }
         // A channel's mean is not finite where one of its values is not: what each stage's attention
         // pools tells of all its map. Then what each head gave: NaN stays NaN from where it arises to
         // these, while comparisons behind them would only drop it.

@@ -8,6 +8,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::SystemTime;
 
 use half::slice::HalfFloatSliceExt;
 use safetensors::{Dtype, SafeTensors};
@@ -51,28 +52,44 @@ type Bytes = Arc<dyn AsRef<[u8]> + Send + Sync>;
 #[derive(Clone)]
 enum Held {
     Memory(Bytes),
-    /// On disk, with the name for messages.
-    File(Arc<Mutex<File>>, PathBuf),
+    File(Arc<OnDisk>),
+}
+
+/// An open file, as it was when all of it was looked at.
+struct OnDisk {
+    file: Mutex<File>,
+    /// For messages.
+    name: PathBuf,
+    length: u64,
+    modified: Option<SystemTime>,
+}
+
+impl OnDisk {
+    fn fail(&self, message: impl fmt::Display) -> Error {
+        Error::Weights { file: self.name.clone(), message: message.to_string() }
+    }
+
+    /// The bytes there, if nobody has written to the file since.
+    fn read(&self, range: &Range<usize>) -> Result<Vec<u8>> {
+        let mut bytes = vec![0; range.len()];
+        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
+        let read = file.seek(SeekFrom::Start(range.start as u64));
+        read.and_then(|_| file.read_exact(&mut bytes)).map_err(|e| self.fail(e))?;
+        let now = file.metadata().map_err(|e| self.fail(e))?;
+        match (now.len(), now.modified().ok()) == (self.length, self.modified) {
+            true => Ok(bytes),
+            false => Err(self.fail("expected the file as it was opened, got one written since")),
+        }
+    }
 }
 
 impl Held {
     /// # Errors
-    /// [`Error::Weights`] for a file that cannot be read any more.
+    /// [`Error::Weights`] for a file that cannot be read any more, or was written to.
     fn read(&self, range: &Range<usize>) -> Result<Cow<'_, [u8]>> {
         match self {
             Self::Memory(bytes) => Ok((**bytes).as_ref()[range.clone()].into()),
-            Self::File(file, name) => {
-                let mut bytes = vec![0; range.len()];
-                let mut file = file.lock().unwrap_or_else(PoisonError::into_inner);
-                let read = file.seek(SeekFrom::Start(range.start as u64));
-                let read = read.and_then(|_| file.read_exact(&mut bytes));
-                let fail = |e: std::io::Error| Error::Weights {
-                    file: name.clone(),
-                    message: e.to_string(),
-                };
-                read.map_err(fail)?;
-                Ok(bytes.into())
-            }
+            Self::File(file) => file.read(range).map(Cow::from),
         }
     }
 }
@@ -168,10 +185,12 @@ impl Weights {
     /// truncated, has no valid `config`, or holds a value that is not finite.
     pub fn open(path: &Path) -> Result<Self> {
         let fail = |e: std::io::Error| Error::Weights { file: path.into(), message: e.to_string() };
-        let (file, _) = files::open(path).map_err(fail)?;
+        let (file, length) = files::open(path).map_err(fail)?;
+        let modified = file.metadata().map_err(fail)?.modified().ok();
         // All of it once, to look at every value; then each tensor when it is wanted.
-        let bytes = files::read(path, MAX_FILE).map_err(fail)?;
-        Self::parse(path, &bytes, Held::File(Arc::new(Mutex::new(file)), path.into()))
+        let bytes = files::read_open(&file, length, MAX_FILE).map_err(fail)?;
+        let held = OnDisk { file: Mutex::new(file), name: path.into(), length, modified };
+        Self::parse(path, &bytes, Held::File(Arc::new(held)))
     }
 
     /// Reads weights from memory; `name` stands for the file in messages.

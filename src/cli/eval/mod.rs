@@ -124,13 +124,13 @@ struct Paper {
 
 /// What the tables are made of.
 #[derive(Serialize)]
-struct Report<'a> {
+struct Report {
     data: String,
     pictures: usize,
     failed: usize,
     conf: f32,
     iou: f32,
-    adapter: &'a str,
+    adapter: String,
     seconds_per_picture: f64,
     classes: Vec<Row>,
     all: Row,

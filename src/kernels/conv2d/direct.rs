@@ -203,6 +203,7 @@ impl Plan {
         let packing = Packing {
             texels: TensorSpec::f32([height, width, 4]),
             outputs: sizes.out_c.next_multiple_of(tile.channels),
+            tile: tile.channels,
             copies,
             pack: move |w: &Tensor| pack_weight(&transform(w), &form, &tile, [width, height]),
         };
@@ -419,17 +420,15 @@ impl Products {
         groups: usize,
         [in_c, out_c]: [usize; 2],
         columns: usize,
-        caps: &Caps,
-        batch: u32,
+        work: &Work,
     ) -> Option<Self> {
         let out_c_all = groups * out_c;
         let sizes = Sizes { in_c, out_c: out_c_all, kh: 1, kw: 1, out_h: 1, out_w: columns };
-        let plan = Plan::of(&Conv2d::default(), sizes, Manner::Whole, caps)?;
+        let plan = Plan::of(&Conv2d::default(), sizes, Manner::Whole, work.caps)?;
         let whole = in_c.is_multiple_of(4) && out_c.is_multiple_of(plan.tile.channels);
         let maps = [in_c, out_c].map(|c| TensorSpec::f32([groups * c, 1, columns]));
-        let fits = |map| Quads::of(map, Precision::F32, batch, caps).is_some();
-        let fit = maps.iter().all(fits);
-        (whole && fit && plan.starts(batch)).then_some(Self { plan, groups })
+        let fit = maps.iter().all(|map| work.has_quads(map));
+        (whole && fit && plan.starts(work.batch)).then_some(Self { plan, groups })
     }
 
     /// The order of its sums over channels.

@@ -106,7 +106,7 @@ impl Plan {
             && work.has_quads(&work.inputs[0])
             && work.has_quads(&work.outputs[0])
             && tiles.div_ceil(WORKGROUP) <= MAX_WORKGROUPS as usize;
-        let products = Products::of(POINTS, [in_c, out_c], tiles, work.caps, work.batch)?;
+        let products = Products::of(POINTS, [in_c, out_c], tiles, work)?;
         fits.then_some(Self { sizes, tile_columns, tiles, products })
     }
 }

@@ -137,6 +137,7 @@ impl Kernel for Gemm {
         let packing = Packing {
             texels: TensorSpec::f32([height, width, 4]),
             outputs: plan.outputs,
+            tile: plan.tile,
             copies: 1,
             pack: move |weight: &Tensor| plan.pack_weight(weight),
         };

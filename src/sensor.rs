@@ -367,8 +367,12 @@ pub(crate) fn assumption(frame: [u32; 2]) -> Option<String> {
                 format!("its central {} × {} pixels are taken for", part.width, part.height)
             }
         };
+        let named = Sensor::NAMES.into_iter().find(|name| {
+            Sensor::named(name).is_some_and(|sensor| sensor.frame == Some(frame))
+        });
+        let like = named.map_or(String::new(), |name| format!(", not for one of {name}'s"));
         format!(
-            "{width} × {height} is no frame of the paper's sensor: {seen} {across:.1} × {along:.1} mm"
+            "{width} × {height} is no frame of the paper's sensor: {seen} {across:.1} × {along:.1} mm{like}"
         )
     })
 }
@@ -415,7 +419,8 @@ mod tests {
         assert_eq!(assumption([500, 500]), None);
         let mini = assumed([320, 240], None);
         assert_eq!((mini.part, mini.mm_per_pixel), (rect(0, 0, 320, 240), 40.0 / 240.0));
-        let want = "320 × 240 is no frame of the paper's sensor: it is taken for 53.3 × 40.0 mm";
+        let want = "320 × 240 is no frame of the paper's sensor: it is taken for 53.3 × 40.0 mm, \
+                    not for one of gelsight-mini's";
         assert_eq!(assumption([320, 240]).as_deref(), Some(want));
         // 60 mm at most: three halves of the shorter side.
         let long = assumed([200, 801], None);

@@ -42,6 +42,7 @@ pub(super) struct DetectorArgs {
     /// Of two boxes of a class that overlap by more than this (intersection over union, 0 to 1),
     /// the one with the lower score goes.
     #[arg(long, default_value_t = 0.5, value_name = "IOU", value_parser = fraction)]
+    #[arg(allow_negative_numbers = true)]
     iou: f32,
 
     /// The sensor that took the pictures: `paper`, `gelsight-mini`, `plain` (all gel, 40 mm along the
@@ -76,6 +77,7 @@ pub(super) struct DetectorArgs {
 
     /// Longest wait for one picture on a GPU, in seconds.
     #[arg(long, default_value = "120", value_name = "SECONDS", value_parser = seconds)]
+    #[arg(allow_negative_numbers = true)]
     timeout: Duration,
 
     #[command(flatten)]
@@ -182,9 +184,16 @@ impl DetectorArgs {
         config.scene = self.scene();
         let reference = config.sensor.as_ref().and_then(|sensor| sensor.reference.clone());
         if let Some(file) = reference.filter(|_| config.scene.looks()) {
-            let failed = |e| Failure::new(Exit::Inputs, format!("{}: {e}", file.display()));
+            let named = format!("--sensor: reference {}", file.display());
+            let failed = |e| Failure::new(Exit::Inputs, format!("{named}: {e}"));
             let picture = picture::read(&file).map_err(failed)?.into_rgb8();
             let (width, height) = picture.dimensions();
+            let frames = config.sensor.as_ref().and_then(|sensor| sensor.frame);
+            if let Some([w, h]) = frames.filter(|frame| *frame != [width, height]) {
+                return Err(Failure::usage(format!(
+                    "{named}: expected {w} × {h} pixels as the sensor's frames, got {width} × {height}"
+                )));
+            }
             let frame = Frame::new(picture.into_raw(), width, height, PixelFormat::Rgb8);
             config = config.reference(frame);
         }
@@ -241,6 +250,11 @@ pub(super) fn weight_file(given: Option<&Path>) -> Result<PathBuf, Failure> {
     let variable = std::env::var_os(WEIGHTS_VARIABLE).map(PathBuf::from);
     let given = given.map(Path::to_path_buf).or(variable).unwrap_or_else(|| WEIGHTS[0].0.into());
     let Some((_, file)) = WEIGHTS.iter().find(|(name, _)| Path::new(name) == given) else {
+        if given.extension().is_none() && !given.exists() {
+            let (names, given) = (WEIGHTS.map(|(name, _)| name).join(", "), given.display());
+            let message = format!("weights: expected {names} or a file, got `{given}`");
+            return Err(Failure::new(Exit::Weights, message));
+        }
         return Ok(given);
     };
     let program = std::env::current_exe().unwrap_or_default();

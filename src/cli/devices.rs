@@ -12,7 +12,8 @@ const FEATURES: [(&str, &str); 3] =
 
 /// List the adapters
 ///
-/// The index is what --device takes; the first adapter that lacks nothing is `auto`.
+/// The index is what --device takes; the first hardware adapter that lacks nothing is
+/// `auto`, which without one is the CPU.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Print one JSON object a line for each adapter.

@@ -201,7 +201,11 @@ impl Gallery {
     /// [`Exit::Output`].
     pub fn create(folder: &Path) -> Result<Self, Failure> {
         std::fs::create_dir_all(folder).map_err(|e| {
-            Failure::new(Exit::Output, format!("{}: cannot write: {e}", folder.display()))
+            let e = match folder.exists() {
+                true => "expected a folder, got a file".to_owned(),
+                false => format!("cannot write: {e}"),
+            };
+            Failure::new(Exit::Output, format!("{}: {e}", folder.display()))
         })?;
         Ok(Self { folder: folder.into(), numbers: HashMap::new() })
     }

@@ -62,6 +62,9 @@ impl std::fmt::Display for Variant {
 const SHARED: &[(&str, &str)] = &[
     ("index", include_str!("../wgsl/shared/index.wgsl")),
     ("pixels", include_str!("../wgsl/shared/pixels.wgsl")),
+    ("triangle", include_str!("../wgsl/shared/triangle.wgsl")),
+    ("neighbours", include_str!("../wgsl/shared/neighbours.wgsl")),
+    ("between", include_str!("../wgsl/shared/between.wgsl")),
     ("quads", include_str!("../wgsl/shared/quads.wgsl")),
     ("texels", include_str!("../wgsl/shared/texels.wgsl")),
     ("products", include_str!("../wgsl/shared/products.wgsl")),

@@ -102,7 +102,7 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "no sample exactly at the features' end",
-        file: "roi_align/planar",
+        file: "shared/neighbours",
         changes: &[("at <= f32(length)", "at < f32(length)")],
         op: "roi_align",
         case: "exactly at the edges by hand",
@@ -110,16 +110,8 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "no sample exactly at −1",
-        file: "roi_align/planar",
+        file: "shared/neighbours",
         changes: &[("at >= -1.0", "at > -1.0")],
-        op: "roi_align",
-        case: "exactly at the edges by hand",
-        by_hand: true,
-    },
-    Fault {
-        what: "no sample exactly at the features' end",
-        file: "roi_align/quads",
-        changes: &[("at <= f32(length)", "at < f32(length)")],
         op: "roi_align",
         case: "exactly at the edges by hand",
         by_hand: true,
@@ -723,6 +715,13 @@ const EQUIVALENT: &[(&str, &str, &str)] = &[
         "let quads = vec2(2u * workgroup.y, min(2u * workgroup.y - 1u, to.quads - 1u));",
         "each pair has the quad before its second; the first pair has the last",
     ),
+    (
+        "crop_resize/quads",
+        "if x > map.width || y >= map.height {",
+        "an end that saves work: texels behind the width are padding, and `store` looks at each row",
+    ),
+    ("crop_resize/quads", "if x >= map.width && y >= map.height {", "likewise"),
+    ("crop_resize/quads", "", "likewise, the end removed"),
     (
         "channel_gate",
         "let none = select(0u, 0u, workgroups.x == 0u);",

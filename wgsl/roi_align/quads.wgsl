@@ -4,6 +4,7 @@
 
 // include: quads
 // include: texels
+// include: neighbours
 
 struct Params {
     map: Quads,
@@ -23,22 +24,6 @@ struct Params {
 @group(0) @binding(2) var<storage, read> boxes: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> count: array<u32>;
 @group(0) @binding(4) var<storage, read_write> output: array<f32>;
-
-// The two neighbours of a coordinate on one axis, and the weight of the upper one.
-struct Neighbours {
-    low: u32,
-    high: u32,
-    weight: f32,
-    inside: bool,
-}
-
-// Outside [-1, length] there is nothing; between there and the first and last centre, the edge.
-fn neighbours(at: f32, length: u32) -> Neighbours {
-    let inside = at >= -1.0 && at <= f32(length);
-    let clamped = clamp(at, 0.0, f32(length - 1u));
-    let low = min(u32(clamped), length - 1u);
-    return Neighbours(low, min(low + 1u, length - 1u), clamped - f32(low), inside);
-}
 
 fn load(origin: vec2<u32>, y: u32, x: u32) -> vec4<f32> {
     return textureLoad(features, origin + vec2(x, y));

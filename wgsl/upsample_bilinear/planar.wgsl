@@ -4,6 +4,7 @@
 // integers, so that only the remainder's division rounds.
 
 // include: index
+// include: between
 
 struct Params {
     channels: u32,
@@ -16,20 +17,6 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> input: array<f32>;
 @group(0) @binding(2) var<storage, read_write> output: array<f32>;
-
-// The two pixels that one output lies between, along one axis, and its distance from the first.
-struct Between {
-    low: u32,
-    high: u32,
-    part: f32,
-}
-
-fn between(i: u32, in_length: u32, out_length: u32) -> Between {
-    let position = max((2u * i + 1u) * in_length, out_length) - out_length;
-    let low = position / (2u * out_length);
-    let part = f32(position - low * 2u * out_length) / f32(2u * out_length);
-    return Between(low, min(low + 1u, in_length - 1u), part);
-}
 
 @compute @workgroup_size(64)
 fn main(

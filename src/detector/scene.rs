@@ -135,7 +135,7 @@ impl Scene {
 }
 
 impl Default for Scene {
-    /// What lost none of 2003 labelled snaps: `contact` and `regions`. `proposals` lost six, and is for those
+    /// What lost none of 2003 labelled snaps: `contact` and `regions`. `proposals` lost five, and is for those
     /// who ask.
     fn default() -> Self {
         Self { contact: true, regions: true, ..Self::FULL }

@@ -23,10 +23,10 @@ use crate::graph::{Graph, TensorId};
 use crate::ops::{CropResize, Nms, NotFinite};
 use crate::shape::{Extent, TensorSpec};
 
-/// Pixels of the largest picture: as RGBA8 they fill the 128 MiB that every device can bind.
-pub const MAX_PIXELS: usize = (128 << 20) / 4;
-/// Bytes of the largest tensor of a network: WebGPU's default limit of what a shader binds.
+/// Bytes of the largest tensor: what every device can bind.
 const MOST_BYTES: u64 = 128 << 20;
+/// Pixels of the largest picture: as RGBA8 they fill that.
+pub const MAX_PIXELS: usize = MOST_BYTES as usize / 4;
 
 /// The whole network as a graph, with the ids of what goes in and comes out.
 pub struct Network {

@@ -37,12 +37,11 @@ struct Params {
 @group(0) @binding(3) var<storage, read_write> output: array<OutputTexel>;
 
 fn store(at: vec2<u32>, y: u32, value: vec3<f32>) {
-    if y >= params.map.height {
-        return;
+    if y < params.map.height {
+        let rest = vec3(params.rest_r, params.rest_g, params.rest_b);
+        let deviation = vec3(params.std_r, params.std_g, params.std_b);
+        output[texel_index(params.map, at)] = stored(vec4((value - rest) / deviation, 0.0));
     }
-    let rest = vec3(params.rest_r, params.rest_g, params.rest_b);
-    let deviation = vec3(params.std_r, params.std_g, params.std_b);
-    output[texel_index(params.map, at)] = stored(vec4((value - rest) / deviation, 0.0));
 }
 
 @compute @workgroup_size(8, 8)

@@ -8,8 +8,9 @@ use std::sync::{Arc, OnceLock};
 use smr_gpu::Precision;
 use smr_gpu::check::{Selection, Target, check, check_expected, rows};
 use smr_gpu::gpu::{Gpu, GpuOptions};
+use smr_gpu::kernels::shaders;
 use smr_gpu::ops::{Case, Expected, find};
-use smr_gpu::shader::Replacement;
+use smr_gpu::shader::{Replacement, reflect, reflect_replaced};
 
 /// A device with bounds checks: what a fault reads or writes outside is defined.
 fn gpu() -> &'static Arc<Gpu> {
@@ -449,6 +450,22 @@ const FAULTS: &[Fault] = &[
         by_hand: true,
     },
     Fault {
+        what: "of stride 2, the second tap begins a pixel early",
+        file: "conv2d/direct",
+        changes: &[("SECOND: u32 = PIXELS + 1u", "SECOND: u32 = PIXELS")],
+        op: "conv2d",
+        case: "3x3 stride 2 of odd sizes",
+        by_hand: false,
+    },
+    Fault {
+        what: "of a dilated kernel, pixels are stored side by side",
+        file: "conv2d/direct",
+        changes: &[("first_at + j * spacing", "first_at + j")],
+        op: "conv2d",
+        case: "3x3 dilation 2, as the fusion",
+        by_hand: false,
+    },
+    Fault {
         what: "tiles without their padding",
         file: "conv2d/winograd_input",
         changes: &[("/ params.tile_columns * 4u - 1u", "/ params.tile_columns * 4u")],
@@ -739,6 +756,17 @@ const EQUIVALENT: &[(&str, &str, &str)] = &[
     ),
 ];
 
+/// Whether a variant that this adapter runs has the fault: not all are for its size of subgroups.
+fn is_run(mutant: &mutate::Mutant) -> bool {
+    let replacement = mutant.replacement();
+    let has = |stem: &str| stem == mutant.file || mutant.file.starts_with("shared/");
+    let mut variants = shaders(gpu().caps()).into_iter().filter(|(shader, _)| has(shader.stem));
+    variants.any(|(shader, variant)| {
+        let text = reflect(shader, &variant).expect("a shader").text;
+        reflect_replaced(shader, &variant, &replacement).map_or(true, |faulty| faulty.text != text)
+    })
+}
+
 /// One that surely ends: no fault in a loop's head or in what it counts.
 fn first_sure(file: &str, text: &str) -> mutate::Mutant {
     let candidates = mutate::chosen(file, text, 1, 8);
@@ -751,6 +779,6 @@ fn first_sure(file: &str, text: &str) -> mutate::Mutant {
         let now = if m.after.is_empty() { &removed } else { &m.after };
         !EQUIVALENT.iter().any(|(file, after, _)| m.file == *file && now == after)
     };
-    let found = candidates.iter().filter(ends).find(changes);
+    let found = candidates.iter().filter(ends).filter(changes).find(|m| is_run(m));
     found.unwrap_or_else(|| panic!("{file} has no such mutant")).clone()
 }

@@ -2,8 +2,8 @@
 //
 // One invocation computes CHANNELS outputs at each of PIXELS pixels side by side. With SUBGROUPS the
 // lanes of a subgroup work on different pixels and the same channels: a texel of weights is read by one
-// lane and spread to all. With THREE_TAPS, the kernel has three columns and neither stride nor dilation, and
-// the taps of a row share the inputs that they have in common.
+// lane and spread to all. With THREE_TAPS, the kernel is of 3 × 3, and the taps of a row share the inputs that
+// they have in common: the pixels of a strip lie as far apart as the taps, or, with STRIDE_TWO, side by side.
 //
 // A block of quads of input channels is summed for itself and then added to the total: shorter
 // sums lose fewer digits. Where the blocks are split, a workgroup sums some of them as a picture of its
@@ -24,8 +24,9 @@ struct Params {
     stride: u32,
     padding: u32,
     dilation: u32,
-    // Groups of PIXELS in a row of outputs.
+    // Groups of PIXELS in a row of outputs, and from one pixel of a group to the next.
     strips: u32,
+    spacing: u32,
     blocks: u32,
     // Parts that the blocks are split into, and blocks of each.
     splits: u32,
@@ -39,7 +40,6 @@ struct Params {
     relu: u32,
     // Quads of a block.
     block_quads: u32,
-    pad0: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -58,13 +58,23 @@ struct Params {
 @group(0) @binding(4) var<storage, read> residual: array<Texel>;
 @group(0) @binding(5) var<storage, read_write> output: array<OutputTexel>;
 
+// Inputs that the pixels and taps of a strip have between them, and where those of each tap begin.
 #if THREE_TAPS
 const TAPS: u32 = 3u;
+#if STRIDE_TWO
+// Those at even places, then those at odd ones.
+const SPAN: u32 = 2u * PIXELS + 1u;
+const SECOND: u32 = PIXELS + 1u;
+const THIRD: u32 = 1u;
+#else
+const SPAN: u32 = PIXELS + 2u;
+const SECOND: u32 = 1u;
+const THIRD: u32 = 2u;
+#endif
 #else
 const TAPS: u32 = 1u;
+const SPAN: u32 = PIXELS;
 #endif
-// Inputs that the pixels and taps of a strip have between them.
-const SPAN: u32 = PIXELS + TAPS - 1u;
 alias Strip = array<vec4<f32>, SPAN>;
 
 // The inputs of four pixels, by channel.
@@ -211,7 +221,9 @@ fn main(
     let index = workgroup.x * WORKGROUP + local;
     let strip_index = min(index, last);
     let out_y = strip_index / params.strips;
-    let out_x = strip_index % params.strips * PIXELS;
+    let spacing = params.spacing;
+    let strip_of_row = strip_index % params.strips;
+    let out_x = strip_of_row / spacing * spacing * PIXELS + strip_of_row % spacing;
     // Wraps below zero to a large number, so that one comparison finds both sides.
     let left = out_x * params.stride - params.padding;
     let top = out_y * params.stride - params.padding;
@@ -229,12 +241,12 @@ fn main(
     // Mesa unrolls this one loop: sums that are kept once in nine taps, not in three, cost a fifth less.
     let kernel_height = 3u;
     let kernel_width = 3u;
-    let step = 1u;
 #else
     let kernel_height = params.kernel_height + none;
     let kernel_width = params.kernel_width + none;
-    let step = params.stride;
 #endif
+    // From one input of a strip to the next.
+    let step = params.stride * spacing;
     let block_quads = params.block_quads + none;
 
     // The taps of a row that are added together lie side by side.
@@ -265,15 +277,19 @@ fn main(
 #endif
                     var strip: Strip;
                     for (var j = 0u; j < SPAN; j++) {
+#if STRIDE_TWO
+                        let in_x = first_column + 2u * j - select(0u, SPAN, j >= SECOND);
+#else
                         let in_x = first_column + j * step;
+#endif
                         let x = textureLoad(input, vec2<u32>(corner.x + min(in_x, width - 1u), row));
                         strip[j] =
                             select(vec4<f32>(), x, exists & (in_y < height) & (in_x < width));
                     }
                     part = add_tap(part, at, lane, &strip, 0u);
 #if THREE_TAPS
-                    part = add_tap(part, at + vec2<u32>(CHANNELS, 0u), lane, &strip, 1u);
-                    part = add_tap(part, at + vec2<u32>(2u * CHANNELS, 0u), lane, &strip, 2u);
+                    part = add_tap(part, at + vec2<u32>(CHANNELS, 0u), lane, &strip, SECOND);
+                    part = add_tap(part, at + vec2<u32>(2u * CHANNELS, 0u), lane, &strip, THIRD);
 #endif
                     at.x += taps;
                     at = select(at, vec2<u32>(0u, at.y + 1u), at.x == params.weight_width);
@@ -297,8 +313,8 @@ fn main(
         let channel = out_quad * 4u + vec4<u32>(0u, 1u, 2u, 3u);
         let exists = channel < vec4<u32>(params.output.channels);
         for (var j = 0u; j < PIXELS + none; j++) {
-            if (index <= last) & (out_x + j < params.output.width) & exists.x {
-                let at = first_at + j;
+            if (index <= last) & (out_x + j * spacing < params.output.width) & exists.x {
+                let at = first_at + j * spacing;
 #if HALF_WEIGHT
                 var value = sums[i * PIXELS + j] * scale[out_quad] + bias[out_quad];
 #else

@@ -28,6 +28,7 @@ shader_params! {
         padding: u32,
         dilation: u32,
         strips: u32,
+        spacing: u32,
         blocks: u32,
         splits: u32,
         split_blocks: u32,
@@ -37,7 +38,6 @@ shader_params! {
         has_residual: u32,
         relu: u32,
         block_quads: u32,
-        pad0: u32,
     }
 }
 
@@ -49,31 +49,57 @@ static SHADER: Shader = Shader {
 
 /// Workgroups that keep an adapter with many cores busy.
 const ENOUGH: u32 = 256;
+/// Farthest that an invocation's pixels lie apart: the farther, the more of them lie outside a small map.
+const MOST_SPACING: usize = 4;
 /// Most parts of a sum.
 const MOST_SPLITS: u32 = 8;
+
+/// Taps of a row that are added together, and the inputs that they share.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Taps {
+    /// One by one.
+    One,
+    /// Of a kernel of 3 × 3 without stride: pixels as far apart as the taps are.
+    Three,
+    /// Of a kernel of 3 × 3 of stride 2, undilated: pixels side by side.
+    ThreeOfStrideTwo,
+}
+
+impl Taps {
+    const ALL: [Self; 3] = [Self::One, Self::Three, Self::ThreeOfStrideTwo];
+
+    fn number(self) -> usize {
+        if self == Self::One { 1 } else { 3 }
+    }
+
+    /// `weights` says how those are stored; for the maps see [`Recording::dispatch_maps`].
+    fn variant(self, tile: &Tile, weights: Precision) -> Variant {
+        let variant = Variant::of(&[("WORKGROUP", tile.workgroup)]);
+        let variant = tile.lanes.variant(variant).with("THREE_TAPS", self.number() == 3);
+        let variant = variant.with("STRIDE_TWO", self == Self::ThreeOfStrideTwo);
+        variant.with("HALF_WEIGHT", weights.is_half())
+    }
+}
 
 /// How the shader walks through a kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Form {
-    /// Taps of a row that are added together and share the inputs that they have in common: all three of a
-    /// kernel of 3 × 3 without stride and dilation, else 1.
-    taps: usize,
+    taps: Taps,
+    /// From one pixel that an invocation computes to the next.
+    spacing: usize,
     /// Quads of input channels that are summed for themselves.
     quads: usize,
 }
 
 impl Form {
     fn of(op: &Conv2d, in_c: usize, kh: usize, kw: usize) -> Self {
-        let taps = if [kh, kw, op.stride, op.dilation] == [3, 3, 1, 1] { 3 } else { 1 };
+        let (taps, spacing) = match [kh, kw, op.stride, op.dilation] {
+            [3, 3, 1, dilation @ 1..=MOST_SPACING] => (Taps::Three, dilation),
+            [3, 3, 2, 1] => (Taps::ThreeOfStrideTwo, 1),
+            _ => (Taps::One, 1),
+        };
         let most = if kh * kw == 1 { 8 } else { 4 };
-        Self { taps, quads: in_c.div_ceil(4).min(most) }
-    }
-
-    /// `weights` says how those are stored; for the maps see [`Recording::dispatch_maps`].
-    fn variant(taps: usize, tile: &Tile, weights: Precision) -> Variant {
-        let variant = Variant::of(&[("WORKGROUP", tile.workgroup)]);
-        let variant = tile.lanes.variant(variant).with("THREE_TAPS", taps == 3);
-        variant.with("HALF_WEIGHT", weights.is_half())
+        Self { taps, spacing, quads: in_c.div_ceil(4).min(most) }
     }
 
     fn blocks(&self, in_c: usize) -> usize {
@@ -155,13 +181,14 @@ impl Plan {
     fn of(op: &Conv2d, sizes: Sizes, manner: Manner, caps: &Caps) -> Option<Self> {
         let Sizes { in_c, out_c, kh, kw, out_h, out_w } = sizes;
         let (form, tile) = (Form::of(op, in_c, kh, kw), Tile::of(manner, caps)?);
-        let strips = u32::try_from(out_w.div_ceil(tile.pixels)).ok()?;
+        let strips = out_w.div_ceil(tile.pixels * form.spacing) * form.spacing;
+        let strips = u32::try_from(strips).ok()?;
         let invocations = u64::from(strips) * out_h as u64;
         let across = u32::try_from(invocations.div_ceil(u64::from(tile.workgroup))).ok()?;
         let grid = [across, u32::try_from(out_c.div_ceil(tile.channels)).ok()?];
 
         let side = caps.texture_side as usize;
-        let taps = form.taps * tile.channels;
+        let taps = form.taps.number() * tile.channels;
         let all = packed_texels(&sizes, &form, &tile);
         let width = (side / taps * taps).min(all);
         if width == 0 || all.div_ceil(width) > side {
@@ -231,6 +258,7 @@ impl Plan {
             padding: op.padding as u32,
             dilation: op.dilation as u32,
             strips: self.strips,
+            spacing: form.spacing as u32,
             blocks: form.blocks(sizes.in_c) as u32,
             splits: self.splits,
             split_blocks: self.split_blocks,
@@ -240,7 +268,6 @@ impl Plan {
             has_residual: u32::from(op.residual && whole),
             relu: u32::from(op.relu && whole),
             block_quads: form.quads as u32,
-            pad0: 0,
         };
         let bindings = [
             ("input", bound.input),
@@ -253,7 +280,7 @@ impl Plan {
         let grid = Grid::Workgroups([across, tiles, recording.batch() * self.splits]);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
         let precision = recording.info(bound.weight.texels).precision;
-        let variant = Form::variant(form.taps, &tile, precision);
+        let variant = form.taps.variant(&tile, precision);
         recording.dispatch_maps(dispatch.variant(variant), bound.input, bound.output);
         Ok(())
     }
@@ -319,8 +346,8 @@ impl Kernel for Direct {
         use Precision::{F16, F32};
         // Weights, what is read, and what is written; the last for the parts of a sum.
         let stored = [(F32, F32, F32), (F16, F16, F16), (F16, F16, F32), (F16, F32, F32)];
-        let direct = [3, 1].into_iter().flat_map(|taps| {
-            stored.map(|(w, read, written)| texels(Form::variant(taps, &tile, w), read, written))
+        let direct = Taps::ALL.into_iter().flat_map(|taps| {
+            stored.map(|(w, read, written)| texels(taps.variant(&tile, w), read, written))
         });
         let join = self.is_split().then(|| all_texels(&Variant::default()));
         let join = join.into_iter().flatten().map(|variant| (&join::SHADER, variant));
@@ -473,7 +500,7 @@ mod tests {
             let (o, i, tap) = (at / 12, at / 2 % 6, at % 2);
             (100 * o + 10 * i + tap + 1) as f32
         });
-        let form = Form { taps: 1, quads: 1 };
+        let form = Form { taps: Taps::One, spacing: 1, quads: 1 };
         let packed = pack_weight(&weight, &form, &tile(4), [8, 4]);
         assert_eq!(packed.dims(), [4, 8, 4]);
         let texel = |at: usize| packed.data()[at * 4..][..4].to_vec();
@@ -491,22 +518,25 @@ mod tests {
     #[test]
     fn blocks_are_padded_with_zeros() {
         let weight = Tensor::from_fn([1, 4, 1, 1], |_| 1.0);
-        let form = Form { taps: 1, quads: 8 };
+        let form = Form { taps: Taps::One, spacing: 1, quads: 8 };
         let packed = pack_weight(&weight, &form, &tile(4), [32, 1]);
         let ones: Vec<usize> = (0..128).filter(|at| packed.data()[*at] != 0.0).collect();
         assert_eq!(ones, [0, 1, 2, 3]);
     }
 
     #[test]
-    fn a_kernel_without_stride_and_dilation_shares_its_inputs() {
+    fn kernels_of_three_by_three_share_their_inputs() {
         let of = |kernel, stride, dilation, in_c| {
             Form::of(&Conv2d { stride, dilation, ..Conv2d::default() }, in_c, kernel, kernel)
         };
-        assert_eq!(of(3, 1, 1, 64), Form { taps: 3, quads: 4 });
-        assert_eq!(of(3, 2, 1, 64), Form { taps: 1, quads: 4 });
-        assert_eq!(of(3, 1, 2, 256), Form { taps: 1, quads: 4 });
-        assert_eq!(of(7, 2, 1, 3), Form { taps: 1, quads: 1 });
-        assert_eq!(of(1, 2, 1, 64), Form { taps: 1, quads: 8 });
+        let form = |taps, spacing, quads| Form { taps, spacing, quads };
+        assert_eq!(of(3, 1, 1, 64), form(Taps::Three, 1, 4));
+        assert_eq!(of(3, 1, 2, 256), form(Taps::Three, 2, 4));
+        assert_eq!(of(3, 1, 5, 256), form(Taps::One, 1, 4));
+        assert_eq!(of(3, 2, 1, 64), form(Taps::ThreeOfStrideTwo, 1, 4));
+        assert_eq!(of(3, 2, 2, 64), form(Taps::One, 1, 4));
+        assert_eq!(of(7, 2, 1, 3), form(Taps::One, 1, 1));
+        assert_eq!(of(1, 2, 1, 64), form(Taps::One, 1, 8));
     }
 
     /// Cut into parts, a sum is no deeper than whole.

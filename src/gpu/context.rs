@@ -1,8 +1,8 @@
 //! The device: choosing an adapter, opening it, compiling shaders, noticing its loss.
 
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 use crate::error::{Error, Result};
@@ -116,6 +116,7 @@ pub struct Gpu {
     foreign: bool,
     /// Bytes that wait to be uploaded.
     uploads: Mutex<usize>,
+    turns: Mutex<()>,
     pub(super) poller: Poller,
     pub(super) clock: Clock,
     /// Another text for one shader file; such a device compiles with bounds checks.
@@ -394,6 +395,7 @@ impl Gpu {
             loss,
             foreign,
             uploads: Mutex::default(),
+            turns: Mutex::default(),
             clock: Clock::default(),
             replacement,
             modules: Mutex::default(),
@@ -458,7 +460,10 @@ impl Gpu {
     /// [`Error::DeviceLost`] if it is gone.
     pub(super) fn check_alive(&self) -> Result<()> {
         // It has the driver's own words, if there are any.
-        let _ = native::poll(&self.device, wgpu::PollType::Poll, &self.loss);
+        {
+            let _turn = self.turn();
+            let _ = native::poll(&self.device, wgpu::PollType::Poll, &self.loss);
+        }
         self.check_lost()?;
         native::look(&self.device, &self.loss);
         self.check_lost()
@@ -514,7 +519,26 @@ impl Gpu {
         if self.fault(Call::Write) == Some(Fault::Invalid) {
             offset = buffer.size();
         }
+        let _turn = self.turn();
         self.queue.write_buffer(buffer, offset, bytes);
+    }
+
+    /// What is held by who gives the queue something, and by who polls without waiting. Once a device is lost,
+    /// wgpu-core 30 gives its resources back in a poll, and takes its locks in another order there than a
+    /// write does: on two threads at a time they would wait for each other for ever.
+    fn turn(&self) -> MutexGuard<'_, ()> {
+        self.turns.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits for what was submitted.
+    fn wait(&self) {
+        let done = Arc::new(AtomicBool::new(false));
+        let told = done.clone();
+        {
+            let _turn = self.turn();
+            self.queue.on_submitted_work_done(move || told.store(true, Ordering::Release));
+        }
+        native::wait(&self.device, &self.loss, &self.turns, &done, self.options.timeout);
     }
 
     /// Submits commands, or only what was written.
@@ -524,6 +548,7 @@ impl Gpu {
             encoder.push_debug_group("never popped");
             encoder.finish()
         });
+        let _turn = self.turn();
         self.queue.submit(commands.into_iter().chain(invalid))
     }
 
@@ -587,6 +612,7 @@ impl Gpu {
             ..texture.as_image_copy()
         };
         let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
+        let _turn = self.turn();
         self.queue.write_texture(to, bytes, layout, size);
     }
 
@@ -615,13 +641,9 @@ impl Gpu {
         *waiting += bytes;
         if *waiting >= UPLOAD_BYTES {
             *waiting = 0;
-            let submission = self.submit(None);
-            let wait = wgpu::PollType::Wait {
-                submission_index: Some(submission),
-                timeout: Some(self.options.timeout),
-            };
             // A device that is lost or late says so when the program first runs.
-            let _ = native::poll(&self.device, wait, &self.loss);
+            self.submit(None);
+            self.wait();
         }
     }
 
@@ -733,7 +755,6 @@ impl Gpu {
                 texture.create_view(&Default::default())
             });
             let uniform = buffer(wgpu::BufferUsages::UNIFORM);
-            self.queue.write_buffer(&uniform, 0, params);
             let bindings = pipeline.bindings.iter();
             let buffers: Vec<_> = bindings.map(|_| buffer(wgpu::BufferUsages::STORAGE)).collect();
             let entry = |((_, binding, kind), buffer): (&(String, u32, BindingKind), _)| {
@@ -762,13 +783,13 @@ impl Gpu {
             pass.set_bind_group(0, &group, &[]);
             pass.dispatch_workgroups(0, 0, 0);
             drop(pass);
-            let submission = self.queue.submit([encoder.finish()]);
             // One at a time: weights are uploaded between them.
-            let wait = wgpu::PollType::Wait {
-                submission_index: Some(submission),
-                timeout: Some(self.options.timeout),
-            };
-            let _ = native::poll(&self.device, wait, &self.loss);
+            {
+                let _turn = self.turn();
+                self.queue.write_buffer(&uniform, 0, params);
+                self.queue.submit([encoder.finish()]);
+            }
+            self.wait();
         });
     }
 

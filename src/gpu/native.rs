@@ -5,6 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Sender};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::task::Waker;
@@ -45,6 +46,23 @@ pub(super) fn poll(
             loss.tell("the driver failed while it was waited for".into());
             Ok(())
         }
+    }
+}
+
+/// Waits until `done`, the loss of the device or `limit`, and polls now and then, each time in a turn of its
+/// own among `turns`, which `Gpu::turn` explains.
+pub(super) fn wait(
+    device: &wgpu::Device,
+    loss: &Loss,
+    turns: &Mutex<()>,
+    done: &AtomicBool,
+    limit: Duration,
+) {
+    let start = Instant::now();
+    while !done.load(Ordering::Acquire) && loss.get().is_none() && start.elapsed() < limit {
+        std::thread::sleep(SHORT_PAUSE);
+        let _turn = lock(turns);
+        let _ = poll(device, wgpu::PollType::Poll, loss);
     }
 }
 

@@ -466,6 +466,14 @@ const FAULTS: &[Fault] = &[
         by_hand: false,
     },
     Fault {
+        what: "every picture of a batch reads the first",
+        file: "conv2d/direct",
+        changes: &[("texel(params.input, picture, quad", "texel(params.input, 0u, quad")],
+        op: "conv2d",
+        case: "3x3 of prime sizes",
+        by_hand: false,
+    },
+    Fault {
         what: "tiles without their padding",
         file: "conv2d/winograd_input",
         changes: &[("/ params.tile_columns * 4u - 1u", "/ params.tile_columns * 4u")],

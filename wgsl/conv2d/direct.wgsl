@@ -1,9 +1,10 @@
 // 2-D convolution with bias, optional residual and ReLU, on maps of four channels a texel.
 //
 // One invocation computes CHANNELS outputs at each of PIXELS pixels side by side. With SUBGROUPS the
-// lanes of a subgroup work on different pixels and the same channels: a texel of weights is read by one
-// lane and spread to all. With THREE_TAPS, the kernel is of 3 × 3, and the taps of a row share the inputs that
-// they have in common: the pixels of a strip lie as far apart as the taps, or, with STRIDE_TWO, side by side.
+// lanes of a subgroup work on different pixels, those of small maps on several pictures, and the same
+// channels: a texel of weights is read by one lane and spread to all. With THREE_TAPS, the kernel is of
+// 3 × 3, and the taps of a row share the inputs that they have in common: the pixels of a strip lie as far
+// apart as the taps, or, with STRIDE_TWO, side by side.
 //
 // A block of quads of input channels is summed for itself and then added to the total: shorter
 // sums lose fewer digits. Where the blocks are split, a workgroup sums some of them as a picture of its
@@ -28,9 +29,9 @@ struct Params {
     strips: u32,
     spacing: u32,
     blocks: u32,
-    // Parts that the blocks are split into, and blocks of each.
-    splits: u32,
+    // Blocks of each part that they are split into.
     split_blocks: u32,
+    pictures: u32,
     // Columns of `weight`.
     weight_width: u32,
     // Tiles of outputs that see the same quads of inputs, and how many those are.
@@ -216,10 +217,12 @@ fn main(
 #if !SUBGROUPS
     let lane = 0u;
 #endif
-    // Lanes past the last strip repeat it.
-    let last = params.strips * params.output.height - 1u;
+    let picture_strips = params.strips * params.output.height;
+    // Lanes past the last strip of the last picture repeat it.
+    let last = params.pictures * picture_strips - 1u;
     let index = workgroup.x * WORKGROUP + local;
-    let strip_index = min(index, last);
+    let picture = min(index, last) / picture_strips;
+    let strip_index = min(index, last) % picture_strips;
     let out_y = strip_index / params.strips;
     let spacing = params.spacing;
     let strip_of_row = strip_index % params.strips;
@@ -228,8 +231,7 @@ fn main(
     let left = out_x * params.stride - params.padding;
     let top = out_y * params.stride - params.padding;
     let tile = workgroup.y;
-    let picture = workgroup.z / params.splits;
-    let begin = workgroup.z % params.splits * params.split_blocks;
+    let begin = workgroup.z * params.split_blocks;
     // 0, in bounds that are no uniform alone: lavapipe 22.3 may otherwise put the uniform's values into
     // the code and compile anew at each dispatch. Loops of a known length would be unrolled.
     let none = select(0u, 1u, workgroups.x == 0u);
@@ -308,7 +310,7 @@ fn main(
     for (var i = 0u; i < CHANNELS / 4u + none; i++) {
         let first_at = texel_index(
             params.output,
-            texel(params.output, workgroup.z, out_quad, out_y, out_x),
+            texel(params.output, picture * workgroups.z + workgroup.z, out_quad, out_y, out_x),
         );
         let channel = out_quad * 4u + vec4<u32>(0u, 1u, 2u, 3u);
         let exists = channel < vec4<u32>(params.output.channels);

@@ -30,8 +30,8 @@ shader_params! {
         strips: u32,
         spacing: u32,
         blocks: u32,
-        splits: u32,
         split_blocks: u32,
+        pictures: u32,
         weight_width: u32,
         group_tiles: u32,
         group_quads: u32,
@@ -48,11 +48,11 @@ static SHADER: Shader = Shader {
 };
 
 /// Workgroups that keep an adapter with many cores busy.
-const ENOUGH: u32 = 256;
+const ENOUGH: u64 = 256;
 /// Farthest that an invocation's pixels lie apart: the farther, the more of them lie outside a small map.
 const MOST_SPACING: usize = 4;
 /// Most parts of a sum.
-const MOST_SPLITS: u32 = 8;
+const MOST_SPLITS: u64 = 8;
 
 /// Taps of a row that are added together, and the inputs that they share.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -155,13 +155,14 @@ struct Plan {
     sizes: Sizes,
     form: Form,
     tile: Tile,
-    /// Groups of adjacent pixels in a row of outputs.
+    /// Groups of pixels in a row of outputs.
     strips: u32,
-    /// Workgroups for the strips of a picture, and for the channels.
-    grid: [u32; 2],
+    /// Workgroups for one picture, its sums whole.
+    busy: u64,
+    /// Workgroups for the strips of all pictures, for the channels, and for the parts of sums.
+    grid: [u32; 3],
     /// Columns and rows of the packed weights.
     texels: [usize; 2],
-    splits: u32,
     split_blocks: u32,
 }
 
@@ -177,17 +178,18 @@ struct Bound {
 }
 
 impl Plan {
-    /// `None` for weights that fit no texture, and without the subgroups that it needs.
-    fn of(op: &Conv2d, sizes: Sizes, manner: Manner, caps: &Caps) -> Option<Self> {
+    /// `None` for weights that fit no texture, for a grid past any adapter's limits, and without the subgroups
+    /// that it needs.
+    fn of(op: &Conv2d, sizes: Sizes, manner: Manner, work: &Work) -> Option<Self> {
         let Sizes { in_c, out_c, kh, kw, out_h, out_w } = sizes;
-        let (form, tile) = (Form::of(op, in_c, kh, kw), Tile::of(manner, caps)?);
+        let (form, tile) = (Form::of(op, in_c, kh, kw), Tile::of(manner, work.caps)?);
         let strips = out_w.div_ceil(tile.pixels * form.spacing) * form.spacing;
-        let strips = u32::try_from(strips).ok()?;
-        let invocations = u64::from(strips) * out_h as u64;
-        let across = u32::try_from(invocations.div_ceil(u64::from(tile.workgroup))).ok()?;
-        let grid = [across, u32::try_from(out_c.div_ceil(tile.channels)).ok()?];
+        let tiles = out_c.div_ceil(tile.channels);
+        let across =
+            |pictures: usize| (pictures * strips * out_h).div_ceil(tile.workgroup as usize);
+        let busy = across(1) as u64 * tiles as u64;
 
-        let side = caps.texture_side as usize;
+        let side = work.caps.texture_side as usize;
         let taps = form.taps.number() * tile.channels;
         let all = packed_texels(&sizes, &form, &tile);
         let width = (side / taps * taps).min(all);
@@ -197,24 +199,24 @@ impl Plan {
 
         let blocks = u32::try_from(form.blocks(in_c)).ok()?;
         // The order of a picture's sums must not depend on the rest of its batch.
-        let busy = u64::from(grid[0]) * u64::from(grid[1]);
         let splits = match manner {
-            Manner::Split => {
-                u64::from(ENOUGH).div_ceil(busy).clamp(2, u64::from(MOST_SPLITS)) as u32
-            }
+            Manner::Split => ENOUGH.div_ceil(busy).clamp(2, MOST_SPLITS) as u32,
             Manner::Whole | Manner::Alone => 1,
         };
         let split_blocks = blocks.div_ceil(splits);
-        let splits = blocks.div_ceil(split_blocks);
+        let splits = blocks.div_ceil(split_blocks) as usize;
+        let grid = [across(work.batch as usize), tiles, splits];
+        if grid.into_iter().any(|n| n > MAX_WORKGROUPS as usize) {
+            return None;
+        }
+        let [strips, grid @ ..] = [strips, grid[0], grid[1], grid[2]].map(|n| n as u32);
         let texels = [width, all.div_ceil(width)];
-        Some(Self { sizes, form, tile, strips, grid, texels, splits, split_blocks })
+        Some(Self { sizes, form, tile, strips, busy, grid, texels, split_blocks })
     }
 
-    /// Whether the grid for so many pictures keeps to the limits of every adapter.
-    fn starts(&self, pictures: u32) -> bool {
-        let pictures = u64::from(pictures) * u64::from(self.splits);
-        let most = u64::from(MAX_WORKGROUPS);
-        self.grid.into_iter().map(u64::from).chain([pictures]).all(|n| n <= most)
+    /// Parts of each sum.
+    fn splits(&self) -> u32 {
+        self.grid[2]
     }
 
     /// Adds the weights that `transform` makes of `weight`, whose outputs it repeats `copies` times.
@@ -246,8 +248,8 @@ impl Plan {
         bound: &Bound,
         groups: u32,
     ) -> Result<()> {
-        let Self { sizes, form, tile, grid: [across, tiles], .. } = *self;
-        let whole = self.splits == 1;
+        let Self { sizes, form, tile, grid, .. } = *self;
+        let whole = self.splits() == 1;
         let input = recording.quads(bound.input)?;
         let params = Params {
             input,
@@ -260,10 +262,10 @@ impl Plan {
             strips: self.strips,
             spacing: form.spacing as u32,
             blocks: form.blocks(sizes.in_c) as u32,
-            splits: self.splits,
             split_blocks: self.split_blocks,
+            pictures: recording.batch(),
             weight_width: self.texels[0] as u32,
-            group_tiles: tiles / groups,
+            group_tiles: grid[1] / groups,
             group_quads: input.quads / groups,
             has_residual: u32::from(op.residual && whole),
             relu: u32::from(op.relu && whole),
@@ -277,7 +279,7 @@ impl Plan {
             ("output", bound.output),
         ];
         let bindings = bound.weight.scaled(&bindings);
-        let grid = Grid::Workgroups([across, tiles, recording.batch() * self.splits]);
+        let grid = Grid::Workgroups(grid);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
         let precision = recording.info(bound.weight.texels).precision;
         let variant = form.taps.variant(&tile, precision);
@@ -322,12 +324,11 @@ impl Direct {
 
     fn plan(&self, work: &Work) -> Option<Plan> {
         let op: &Conv2d = work.op().ok()?;
-        let plan = Plan::of(op, Sizes::of(op, work), self.0, work.caps)?;
+        let plan = Plan::of(op, Sizes::of(op, work), self.0, work)?;
         let fits = weights_known(op, work.known)
             && work.has_quads(&work.inputs[0])
             && work.has_quads(&work.outputs[0])
-            && plan.starts(work.batch)
-            && (plan.splits > 1) == self.is_split();
+            && (plan.splits() > 1) == self.is_split();
         fits.then_some(plan)
     }
 }
@@ -359,7 +360,7 @@ impl Kernel for Direct {
     }
 
     fn preferred(&self, work: &Work) -> bool {
-        let idle = |plan: Plan| plan.grid[0] * plan.grid[1] < ENOUGH;
+        let idle = |plan: Plan| plan.busy < ENOUGH;
         !self.is_split()
             || Lanes::of(work.caps).of_many_cores() && self.plan(work).is_some_and(idle)
     }
@@ -402,7 +403,7 @@ impl Kernel for Direct {
         }
         let zeros = Tensor::<f32>::zeros([out_c.next_multiple_of(tile)]);
         let zeros = recording.constant(format!("{name} (no bias)"), zeros);
-        let floats = to.texels() as usize * 4 * plan.splits as usize;
+        let floats = to.texels() as usize * 4 * plan.splits() as usize;
         let parts = recording.scratch("parts", TensorSpec::f32([floats]));
         let bound = Bound { input, weight, bias: zeros, residual, output: parts, to };
         plan.dispatch(op, recording, &bound, 1)?;
@@ -410,7 +411,7 @@ impl Kernel for Direct {
             op,
             recording,
             work.precision,
-            plan.splits,
+            plan.splits(),
             [parts, bias, residual, output],
             to,
         );
@@ -451,11 +452,11 @@ impl Products {
     ) -> Option<Self> {
         let out_c_all = groups * out_c;
         let sizes = Sizes { in_c, out_c: out_c_all, kh: 1, kw: 1, out_h: 1, out_w: columns };
-        let plan = Plan::of(&Conv2d::default(), sizes, Manner::Whole, work.caps)?;
+        let plan = Plan::of(&Conv2d::default(), sizes, Manner::Whole, work)?;
         let whole = in_c.is_multiple_of(4) && out_c.is_multiple_of(plan.tile.channels);
         let maps = [in_c, out_c].map(|c| TensorSpec::f32([groups * c, 1, columns]));
         let fit = maps.iter().all(|map| work.has_quads(map));
-        (whole && fit && plan.starts(work.batch)).then_some(Self { plan, groups })
+        (whole && fit).then_some(Self { plan, groups })
     }
 
     /// The order of its sums over channels.
@@ -542,7 +543,7 @@ mod tests {
     /// Cut into parts, a sum is no deeper than whole.
     #[test]
     fn parts_make_sums_no_deeper() {
-        for blocks in 1u32..200 {
+        for blocks in 1u64..200 {
             for splits in 2..=MOST_SPLITS {
                 let each = blocks.div_ceil(splits);
                 let splits = blocks.div_ceil(each);

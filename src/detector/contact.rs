@@ -5,10 +5,11 @@ use std::sync::Arc;
 use crate::cpu::{Crop, crop_resize};
 use crate::detector::Config;
 use crate::detector::input::Input;
+use crate::detector::pool::Pool;
 use crate::detector::runner::{On, Runner};
 use crate::error::Result;
 use crate::frame::Frame;
-use crate::gpu::{Deadline, Gpu};
+use crate::gpu::Deadline;
 use crate::graph::{Graph, StageTime, TensorId};
 use crate::lower::Choice;
 use crate::model::MAX_PIXELS;
@@ -155,7 +156,7 @@ impl Detector {
     pub async fn new(
         config: &Config,
         kind: Kind,
-        gpu: Option<&Arc<Gpu>>,
+        pool: Option<&Arc<Pool>>,
         choice: &Choice,
     ) -> Result<Self> {
         let [height, width] = kind.cells;
@@ -188,7 +189,7 @@ impl Detector {
             }
         };
         // A limit lies within f16's rounding of a level.
-        let on = gpu.map(|gpu| On { gpu, precision: Precision::F32, batch: 1 });
+        let on = pool.map(|pool| On { pool, precision: Precision::F32, batch: 1 });
         let runner = Runner::new(config, &graph, &[], on, choice, None).await?;
         Ok(Self { kind, graph, runner, picture, crop, reference, before, cells, words, changed })
     }

@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::detector::contact;
 use crate::detector::engine::{self, Engine};
+use crate::detector::pool::Pool;
 use crate::detector::runner::On;
 use crate::detector::{Config, Device, WeightSource};
 use crate::error::{Error, Result};
@@ -34,8 +35,8 @@ pub(super) struct Engines {
     config: Config,
     weights: Weights,
     thresholds: Thresholds,
-    /// `None` for the CPU.
-    gpu: Option<Arc<Gpu>>,
+    /// The memory of what runs on a GPU; `None` for the CPU.
+    pool: Option<Arc<Pool>>,
     /// What runs the network, for people.
     pub adapter: String,
     /// Which kernels run it.
@@ -79,7 +80,7 @@ impl Engines {
             config: config.clone(),
             weights,
             thresholds,
-            gpu,
+            pool: gpu.map(|gpu| Arc::new(Pool::new(gpu, config.in_flight))),
             adapter,
             choice,
             remarks,
@@ -104,12 +105,12 @@ impl Engines {
 
     /// How maps and weights are stored: as the configuration says, but on the CPU.
     pub fn precision(&self) -> Precision {
-        self.gpu.as_ref().map_or(Precision::F32, |_| self.config.precision)
+        self.pool.as_ref().map_or(Precision::F32, |_| self.config.precision)
     }
 
     /// Pictures that may run together.
     pub fn batch(&self) -> usize {
-        self.gpu.as_ref().map_or(1, |_| self.config.batch.max(1))
+        self.pool.as_ref().map_or(1, |_| self.config.batch.max(1))
     }
 
     /// The engine for one picture at a time with inputs of `size`, height and width, in the precision that is
@@ -136,7 +137,7 @@ impl Engines {
             let Kind { size, precision, batch, proposals } = kind;
             let thresholds = Thresholds { most_proposals: proposals, ..self.thresholds };
             let network = Network::new(self.weights.clone(), size, thresholds)?;
-            let on = self.gpu.as_ref().map(|gpu| On { gpu, precision, batch });
+            let on = self.pool.as_ref().map(|pool| On { pool, precision, batch });
             let engine = Engine::new(&self.config, network, on, &self.choice, like.as_deref());
             pollster::block_on(engine)
         })
@@ -148,8 +149,8 @@ impl Engines {
     /// As [`Engine::new`].
     pub fn contact(&self, kind: contact::Kind) -> Result<Arc<contact::Detector>> {
         self.looks.get_or_build(kind, &self.building, || {
-            let gpu = self.gpu.as_ref();
-            pollster::block_on(contact::Detector::new(&self.config, kind, gpu, &self.choice))
+            let pool = self.pool.as_ref();
+            pollster::block_on(contact::Detector::new(&self.config, kind, pool, &self.choice))
         })
     }
 }

@@ -13,7 +13,7 @@
 //! | `stream` | frames of which few change |
 //! | `engines`, `engine` | the network, for each size of input |
 //! | `runner` | what runs a graph: a GPU, the CPU, the reference |
-//! | `pool` | as many pictures in flight as there are slots |
+//! | `pool` | the memory of runs: as many in flight as there are arenas |
 
 mod config;
 mod contact;

@@ -1,94 +1,94 @@
-//! The slots of a detector: as many pictures in flight as there are slots.
+//! The memory of a detector's runs: as many in flight as there are arenas, of whichever programs.
 
 use std::future::poll_fn;
-use std::ops::{Deref, DerefMut};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, Waker};
 
 use crate::error::Result;
-use crate::gpu::{Alarm, Deadline, Program, Slot};
+use crate::gpu::{Alarm, Arena, Deadline, Gpu, Inputs, Program, RunOutput, Slot};
 
-/// Slots of one program, handed out one at a time.
+/// Arenas, handed out one at a time.
 pub(super) struct Pool {
-    program: Arc<Program>,
+    gpu: Arc<Gpu>,
     most: usize,
     state: Mutex<State>,
 }
 
 #[derive(Default)]
 struct State {
-    free: Vec<Slot>,
-    /// Slots whose run nobody waits for any more, but the device is not done with.
-    late: Vec<Slot>,
-    /// Slots that there are, in use or not.
+    free: Vec<Arc<Arena>>,
+    /// Arenas with a run that nobody waits for any more, but the device is not done with.
+    late: Vec<(Arc<Arena>, Slot)>,
+    /// Arenas that there are, in use or not.
     count: usize,
     waiting: Vec<Waker>,
 }
 
-/// What a caller gets.
-enum Turn {
-    Slot(Box<Slot>),
-    /// There may be one more.
-    Make,
+/// A program, and what binds it to each arena in which it ran.
+pub(super) struct Slots {
+    program: Arc<Program>,
+    pool: Arc<Pool>,
+    idle: Mutex<Vec<Slot>>,
 }
 
-/// A slot for one picture; it goes back when it is dropped.
-pub(super) struct Lease<'a> {
-    pool: &'a Pool,
+/// An arena for one run of a program; it goes back when this is dropped.
+struct Lease<'a> {
+    of: &'a Slots,
+    arena: Arc<Arena>,
     /// `None` until it is made.
     slot: Option<Slot>,
 }
 
+fn lock<T>(state: &Mutex<T>) -> MutexGuard<'_, T> {
+    state.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 impl Pool {
-    /// A pool of at most `most` slots, of which one is made now.
-    pub async fn new(program: Arc<Program>, most: usize) -> Result<Self> {
-        let slot = Slot::new(&program).await?;
-        let state = State { free: vec![slot], count: 1, ..State::default() };
-        Ok(Self { program, most: most.max(1), state: Mutex::new(state) })
+    /// A pool of at most `most` arenas.
+    pub fn new(gpu: Arc<Gpu>, most: usize) -> Self {
+        Self { gpu, most: most.max(1), state: Mutex::default() }
     }
 
-    /// What the slots run.
-    pub fn program(&self) -> &Program {
-        &self.program
+    /// The device.
+    pub fn gpu(&self) -> &Arc<Gpu> {
+        &self.gpu
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    /// An arena that no run uses, or the first; none while all are in use. It stays in the pool.
+    fn spare(&self) -> Option<Arc<Arena>> {
+        let mut state = lock(&self.state);
+        if state.count == 0 {
+            state.count = 1;
+            state.free.push(Arc::default());
+        }
+        state.free.last().cloned()
     }
 
-    /// Waits for a slot. Callers need not get theirs in the order in which they came.
+    /// Waits for an arena. Callers need not get theirs in the order in which they came.
     ///
     /// # Errors
-    /// [`crate::Error::Timeout`] past the deadline; what making a slot returns.
-    pub async fn take(&self, deadline: Deadline) -> Result<Lease<'_>> {
+    /// [`crate::Error::Timeout`] past the deadline.
+    async fn take(&self, deadline: Deadline) -> Result<Arc<Arena>> {
         let mut alarm = None;
-        let turn = poll_fn(|context| self.poll_turn(context, deadline, &mut alarm)).await?;
-        drop(alarm);
-        let mut lease = Lease { pool: self, slot: None };
-        lease.slot = Some(match turn {
-            Turn::Slot(slot) => *slot,
-            Turn::Make => Slot::new(&self.program).await?,
-        });
-        lease.recover(deadline).await?;
-        Ok(lease)
+        poll_fn(|context| self.poll_take(context, deadline, &mut alarm)).await
     }
 
-    fn poll_turn(
+    fn poll_take(
         &self,
         context: &mut Context,
         deadline: Deadline,
         alarm: &mut Option<Alarm>,
-    ) -> Poll<Result<Turn>> {
-        let mut state = self.state();
-        if let Some(slot) = state.free.pop() {
-            return Poll::Ready(Ok(Turn::Slot(Box::new(slot))));
+    ) -> Poll<Result<Arc<Arena>>> {
+        let mut state = lock(&self.state);
+        if let Some(arena) = state.free.pop() {
+            return Poll::Ready(Ok(arena));
         }
-        if let Some(at) = state.late.iter().position(Slot::is_free) {
-            return Poll::Ready(Ok(Turn::Slot(Box::new(state.late.swap_remove(at)))));
+        if let Some(at) = state.late.iter().position(|(_, slot)| slot.is_free()) {
+            return Poll::Ready(Ok(state.late.swap_remove(at).0));
         }
         if state.count < self.most {
             state.count += 1;
-            return Poll::Ready(Ok(Turn::Make));
+            return Poll::Ready(Ok(Arc::default()));
         }
         if deadline.is_over() {
             let stage = match state.late.len() == state.count {
@@ -97,42 +97,66 @@ impl Pool {
             };
             return Poll::Ready(Err(deadline.error(stage)));
         }
-        state.late.iter().for_each(|slot| slot.wake_when_free(context.waker()));
+        state.late.iter().for_each(|(_, slot)| slot.wake_when_free(context.waker()));
         state.waiting.push(context.waker().clone());
         drop(state);
-        *alarm = deadline.wake(self.program.gpu(), context.waker());
+        *alarm = deadline.wake(&self.gpu, context.waker());
         Poll::Pending
     }
 }
 
-impl Deref for Lease<'_> {
-    type Target = Slot;
-
-    fn deref(&self) -> &Slot {
-        match &self.slot {
-            Some(slot) => slot,
-            None => unreachable!("a lease has its slot until it is dropped"),
-        }
+impl Slots {
+    /// Makes a slot now, if there is memory that no run uses.
+    ///
+    /// # Errors
+    /// What making a slot returns.
+    pub async fn new(program: Arc<Program>, pool: Arc<Pool>) -> Result<Self> {
+        let slot = match pool.spare() {
+            Some(arena) => Some(Slot::sharing(&program, &arena).await?),
+            None => None,
+        };
+        Ok(Self { program, pool, idle: Mutex::new(slot.into_iter().collect()) })
     }
-}
 
-impl DerefMut for Lease<'_> {
-    fn deref_mut(&mut self) -> &mut Slot {
-        match &mut self.slot {
+    /// What they run.
+    pub fn program(&self) -> &Program {
+        &self.program
+    }
+
+    /// Runs pictures, when there is memory for them.
+    ///
+    /// # Errors
+    /// [`crate::Error::Timeout`] past the deadline; what making a slot and its run return.
+    pub async fn run(&self, pictures: &[&Inputs<'_>], deadline: Deadline) -> Result<RunOutput> {
+        let arena = self.pool.take(deadline).await?;
+        let mut lease = Lease { of: self, arena, slot: None };
+        let idle = self.idle_in(&lease.arena);
+        let slot = lease.slot.insert(match idle {
             Some(slot) => slot,
-            None => unreachable!("a lease has its slot until it is dropped"),
-        }
+            None => Slot::sharing(&self.program, &lease.arena).await?,
+        });
+        slot.recover(deadline).await?;
+        slot.submit(pictures)?;
+        slot.receive(deadline).await
+    }
+
+    fn idle_in(&self, arena: &Arc<Arena>) -> Option<Slot> {
+        let mut idle = lock(&self.idle);
+        let at = idle.iter().position(|slot| slot.is_in(arena))?;
+        Some(idle.swap_remove(at))
     }
 }
 
 impl Drop for Lease<'_> {
     fn drop(&mut self) {
-        let mut state = self.pool.state();
+        let arena = self.arena.clone();
+        let mut state = lock(&self.of.pool.state);
         match self.slot.take() {
-            // It could not be made.
-            None => state.count -= 1,
-            Some(slot) if slot.is_free() => state.free.push(slot),
-            Some(slot) => state.late.push(slot),
+            Some(slot) if !slot.is_free() => state.late.push((arena, slot)),
+            slot => {
+                lock(&self.of.idle).extend(slot);
+                state.free.push(arena);
+            }
         }
         let waiting = std::mem::take(&mut state.waiting);
         drop(state);

@@ -5,10 +5,10 @@ use std::sync::Arc;
 use std::sync::{Mutex, PoisonError};
 
 use crate::comparison::{How, Values};
-use crate::detector::pool::Pool;
+use crate::detector::pool::{Pool, Slots};
 use crate::detector::{Config, Device};
 use crate::error::Result;
-use crate::gpu::{Deadline, Gpu, Inputs, Program, ProgramOptions};
+use crate::gpu::{Deadline, Inputs, Program, ProgramOptions};
 use crate::graph::{Graph, StageTime, TensorId};
 #[cfg(feature = "cpu")]
 use crate::host::HostPlan;
@@ -18,7 +18,7 @@ use crate::precision::Precision;
 /// The GPU on which a graph is to run.
 #[derive(Clone, Copy)]
 pub(super) struct On<'a> {
-    pub gpu: &'a Arc<Gpu>,
+    pub pool: &'a Arc<Pool>,
     /// How maps and weights are stored.
     pub precision: Precision,
     /// Pictures that run together.
@@ -27,7 +27,7 @@ pub(super) struct On<'a> {
 
 /// A graph made ready on a device.
 pub(super) enum Runner {
-    Gpu(Pool),
+    Gpu(Slots),
     #[cfg(feature = "cpu")]
     Host(Box<Mutex<HostPlan>>),
     Reference,
@@ -44,16 +44,16 @@ impl Runner {
         like: Option<&Self>,
     ) -> Result<Self> {
         Ok(match (on, &config.device) {
-            (Some(On { gpu, precision, batch }), _) => {
-                let batch = batch as u32;
+            (Some(On { pool, precision, batch }), _) => {
+                let (gpu, batch) = (pool.gpu(), batch as u32);
                 let request = Request { keep, batch, precision, caps: gpu.caps(), choice };
                 let lowered = lower(graph, &request)?;
                 let like = match like {
-                    Some(Self::Gpu(pool)) => Some(pool.program()),
+                    Some(Self::Gpu(slots)) => Some(slots.program()),
                     _ => None,
                 };
                 let program = Program::new(gpu, &lowered, like, ProgramOptions::default()).await?;
-                Self::Gpu(Pool::new(Arc::new(program), config.in_flight).await?)
+                Self::Gpu(Slots::new(Arc::new(program), pool.clone()).await?)
             }
             (None, Device::Reference) => Self::Reference,
             #[cfg(feature = "cpu")]
@@ -75,8 +75,8 @@ impl Runner {
     /// How the graph is run, as far as errors depend on it.
     pub fn how(&self) -> How<'_> {
         match self {
-            Self::Gpu(pool) => {
-                let program = pool.program();
+            Self::Gpu(slots) => {
+                let program = slots.program();
                 let (kernels, precision) = (program.kernels(), program.precision());
                 How { kernels, precision, written: Some(program.stored()) }
             }
@@ -111,11 +111,8 @@ impl Runner {
             Self::Host(plan) => one_by_one(pictures, |inputs| {
                 plan.lock().unwrap_or_else(PoisonError::into_inner).run(graph, inputs)
             }),
-            Self::Gpu(pool) => {
-                let deadline = deadline.of_run();
-                let mut slot = pool.take(deadline).await?;
-                slot.submit(pictures)?;
-                let run = slot.receive(deadline).await?;
+            Self::Gpu(slots) => {
+                let run = slots.run(pictures, deadline.of_run()).await?;
                 Ok((run.values, run.stages))
             }
         }

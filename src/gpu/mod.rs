@@ -1,8 +1,10 @@
 //! Everything that touches wgpu: the device, programs and their runs.
 //!
 //! A [`Program`] is what a graph was lowered to, on a device: pipelines and weights, shared by all runs.
-//! A [`Slot`] is one run's worth of memory, so that several pictures can be in flight.
+//! A [`Slot`] is one run's worth of memory, so that several pictures can be in flight; slots of programs
+//! that take turns share an [`Arena`].
 
+mod arena;
 mod context;
 mod faults;
 mod landing;
@@ -11,6 +13,7 @@ mod poison;
 mod program;
 mod slot;
 
+pub(crate) use arena::Arena;
 pub use context::{AdapterChoice, AdapterReport, Gpu, GpuOptions, adapters};
 #[doc(hidden)]
 pub use faults::{Call, Fault, Faults};

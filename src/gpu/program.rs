@@ -47,7 +47,7 @@ impl Default for ProgramOptions {
 }
 
 /// What holds a tensor.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Resource {
     Buffer(wgpu::Buffer),
     Texture(wgpu::Texture, wgpu::TextureView),
@@ -145,7 +145,7 @@ pub struct Program {
     shared: HashMap<(String, Storage), usize>,
 }
 
-/// Bytes behind each tensor that no shader may touch, where the program is guarded.
+/// See [`Program::guard`].
 pub(super) const GUARD_BYTES: u64 = 4 * 64;
 
 impl std::fmt::Debug for Program {
@@ -184,7 +184,6 @@ impl Program {
         let recording = &lowered.recording;
         let limits = gpu.device.limits();
         check_sizes(recording, &limits)?;
-        let guard = if options.guard { GUARD_BYTES } else { 0 };
         let assignment = lifetimes::assign(recording, options.reuse && !options.guard);
         let mut program = Self {
             gpu: gpu.clone(),
@@ -205,7 +204,7 @@ impl Program {
             stored: lowered.places.keys().map(|id| (*id, lowered.stored(*id))).collect(),
             shared: HashMap::new(),
         };
-        gpu.compile(recording, || program.put(recording, &assignment, like, guard))?;
+        gpu.compile(recording, || program.put(recording, &assignment, like))?;
         // The weights are on the device: nobody needs how to make them any more.
         for info in &mut program.tensors {
             if let Role::Constant(_) = info.role {
@@ -216,7 +215,7 @@ impl Program {
         for command in recording.commands() {
             program.add_step(command, &mut offset)?;
         }
-        program.add_outputs(recording, guard);
+        program.add_outputs(recording);
         if program.staging_bytes > limits.max_buffer_size {
             return Err(Error::Capacity {
                 what: "bytes read back in one run; keep fewer tensors or a smaller input".into(),
@@ -233,7 +232,6 @@ impl Program {
         recording: &Recording,
         assignment: &lifetimes::Assignment,
         like: Option<&Program>,
-        guard: u64,
     ) -> Result<()> {
         let mut slots: HashMap<usize, usize> = HashMap::new();
         // The largest first: what it takes to make them is not yet beside all the others.
@@ -243,7 +241,7 @@ impl Program {
             let info = &recording.tensors()[index];
             let Some(slot) = assignment.slot[index] else { continue };
             self.places[index] = Some(match &info.role {
-                Role::Constant(_) => Place::Fixed(self.upload(info, like, guard)?),
+                Role::Constant(_) => Place::Fixed(self.upload(info, like)?),
                 // Of a size of its own for each picture.
                 Role::Input(Extent::UpTo) => Place::Given(TensorId(index)),
                 Role::Input(Extent::Exact) | Role::Transient | Role::Output => {
@@ -260,7 +258,7 @@ impl Program {
     }
 
     /// Puts a constant on the device, or finds it where it is already.
-    fn upload(&mut self, info: &TensorInfo, like: Option<&Program>, guard: u64) -> Result<usize> {
+    fn upload(&mut self, info: &TensorInfo, like: Option<&Program>) -> Result<usize> {
         let Role::Constant(constant) = &info.role else {
             return Err(Error::tensor("program", &info.name, "a constant", "another tensor"));
         };
@@ -269,7 +267,7 @@ impl Program {
             Some(shared) => shared,
             None => {
                 let value = constant.get()?;
-                let resource = self.gpu.create(info.storage, guard);
+                let resource = self.gpu.create(info.storage, self.guard());
                 match &resource {
                     Resource::Buffer(buffer) => self.gpu.upload(buffer, value.bytes()),
                     Resource::Texture(texture, _) => {
@@ -372,7 +370,8 @@ impl Program {
         }
     }
 
-    fn add_outputs(&mut self, recording: &Recording, guard: u64) {
+    fn add_outputs(&mut self, recording: &Recording) {
+        let guard = self.guard();
         let names: HashMap<TensorId, TensorId> = self.names.iter().map(|(k, v)| (*v, *k)).collect();
         for (index, info) in recording.tensors().iter().enumerate() {
             let tensor = TensorId(index);
@@ -384,6 +383,19 @@ impl Program {
             self.outputs.push(Output { id, tensor, place, offset: self.staging_bytes });
             self.staging_bytes += (bytes + guard).next_multiple_of(8);
         }
+    }
+
+    /// Bytes behind each tensor that no shader may touch.
+    pub(super) fn guard(&self) -> u64 {
+        if self.options.guard { GUARD_BYTES } else { 0 }
+    }
+
+    /// The inputs of a size of their own for each picture.
+    pub(super) fn given(&self) -> impl Iterator<Item = TensorId> + '_ {
+        self.places.iter().enumerate().filter_map(|(index, place)| match place {
+            Some(Place::Given(_)) => Some(TensorId(index)),
+            _ => None,
+        })
     }
 
     /// The device.

@@ -6,6 +6,7 @@ use std::task::Waker;
 use std::time::{Duration, Instant};
 
 use crate::error::{Error, Result};
+use crate::gpu::arena::Arena;
 use crate::gpu::context::Gpu;
 use crate::gpu::faults::{Call, Fault};
 use crate::gpu::landing::{Deadline, Landing};
@@ -41,11 +42,13 @@ impl RunOutput {
 /// The values that a run takes, by the graph's inputs.
 pub type Inputs<'a> = [(TensorId, &'a Value)];
 
-/// Storage, inputs and staging memory for one run of a [`Program`] at a time.
+/// One run of a [`Program`] at a time: what binds it to an [`Arena`], and staging memory.
 pub struct Slot {
     program: Arc<Program>,
+    arena: Arc<Arena>,
+    /// What the arena held at the last run.
     storage: Vec<Resource>,
-    /// What the host writes, by the recording's tensor and the picture.
+    /// What the host writes there, by the recording's tensor and the picture.
     given: HashMap<(TensorId, u32), wgpu::Buffer>,
     /// For each step, its bindings; none for copies, and before they are needed.
     groups: Vec<Option<wgpu::BindGroup>>,
@@ -71,14 +74,23 @@ impl std::fmt::Debug for Slot {
 }
 
 impl Slot {
-    /// Allocates what a run of `program` needs.
+    /// Allocates what a run of `program` needs, in an arena of its own.
     ///
     /// # Errors
     /// [`Error::Driver`] for what the driver objects to.
     pub async fn new(program: &Arc<Program>) -> Result<Self> {
+        Self::sharing(program, &Arc::default()).await
+    }
+
+    /// Allocates what a run of `program` needs, in `arena`. Nothing else may run there while it does.
+    ///
+    /// # Errors
+    /// As [`Slot::new`].
+    pub(crate) async fn sharing(program: &Arc<Program>, arena: &Arc<Arena>) -> Result<Self> {
         let gpu = program.gpu.clone();
-        let build = || Ok(Self::build(program));
-        let slot = gpu.scoped("allocating memory for a picture", build).await?;
+        let build = || Ok(Self::build(program, arena));
+        let slot = gpu.scoped("allocating memory for a picture", build).await;
+        let slot = slot.inspect_err(|_| arena.clear())?;
         // A lost device objects to nothing.
         gpu.check_alive()?;
         Ok(slot)
@@ -103,10 +115,9 @@ impl Slot {
         Self::new(&Arc::new(program)).await
     }
 
-    fn build(program: &Arc<Program>) -> Self {
+    fn build(program: &Arc<Program>, arena: &Arc<Arena>) -> Self {
         let gpu = &program.gpu;
-        let guard = if program.options.guard { GUARD_BYTES } else { 0 };
-        let storage = program.storage.iter().map(|s| gpu.create(*s, guard)).collect();
+        let storage = arena.storage(gpu, &program.storage, program.guard());
         let timed = match program.options.profile {
             Profile::Off => 0,
             Profile::Stages => program.stages.len(),
@@ -133,6 +144,7 @@ impl Slot {
         let staging_bytes = staging_bytes.max(4);
         Self {
             program: program.clone(),
+            arena: arena.clone(),
             storage,
             given: HashMap::new(),
             groups: program.steps.iter().map(|_| None).collect(),
@@ -147,6 +159,11 @@ impl Slot {
     /// The program that it runs.
     pub fn program(&self) -> &Arc<Program> {
         &self.program
+    }
+
+    /// Whether it runs in `arena`.
+    pub(crate) fn is_in(&self, arena: &Arc<Arena>) -> bool {
+        Arc::ptr_eq(&self.arena, arena)
     }
 
     /// What guarded buffers hold before the next runs; [`Poison::Nan`] at first.
@@ -219,6 +236,7 @@ impl Slot {
             self.check(inputs)?;
         }
         let landing = pollster::block_on(gpu.scoped("running the network", || {
+            self.settle();
             self.fill();
             for (picture, inputs) in (0..program.batch).zip(pictures.iter().cycle()) {
                 for (id, value) in *inputs {
@@ -238,9 +256,20 @@ impl Slot {
     /// After a submit that failed: what was made for it may be as invalid as what the driver objected
     /// to, and a map that is still pending would make every later submit fail.
     fn forget(&mut self) {
+        self.arena.clear();
         self.groups.fill(None);
         self.given.clear();
         self.give_staging_up();
+    }
+
+    /// Takes what the arena holds, which another program's run may have made grow.
+    fn settle(&mut self) {
+        let program = &self.program;
+        let storage = self.arena.storage(&program.gpu, &program.storage, program.guard());
+        if storage != self.storage {
+            self.storage = storage;
+            self.groups.fill(None);
+        }
     }
 
     /// Gives the staging buffer back to the device. That it was not mapped, because the run or the map
@@ -300,12 +329,10 @@ impl Slot {
         let program = self.program.clone();
         let gpu = &program.gpu;
         let bytes = value.bytes().len().max(4) as u64;
-        let guard = if program.options.guard { GUARD_BYTES } else { 0 };
-        if self.given.get(&(id, picture)).is_none_or(|buffer| buffer.size() < bytes + guard) {
-            let Resource::Buffer(buffer) = gpu.create(Storage::Buffer { bytes }, guard) else {
-                return;
-            };
-            self.given.insert((id, picture), buffer);
+        let guard = program.guard();
+        let place = program.given().position(|given| given == id).unwrap_or_default();
+        let Some(buffer) = self.arena.given(gpu, (place, picture), bytes + guard) else { return };
+        if self.given.insert((id, picture), buffer.clone()).as_ref() != Some(&buffer) {
             // Whoever binds it binds anew.
             for (group, step) in self.groups.iter_mut().zip(&program.steps) {
                 let Step::Dispatch { bound, .. } = step else { continue };
@@ -314,12 +341,11 @@ impl Slot {
                 }
             }
         }
-        let Some(buffer) = self.given.get(&(id, picture)) else { return };
-        gpu.write(buffer, 0, value.bytes());
+        gpu.write(&buffer, 0, value.bytes());
         if guard > 0 {
             let words = (bytes / 4..buffer.size() / 4).map(|at| at as usize);
             let poison: Vec<u32> = words.map(|at| self.poison.word(id, at)).collect();
-            gpu.write(buffer, bytes, bytemuck::cast_slice(&poison));
+            gpu.write(&buffer, bytes, bytemuck::cast_slice(&poison));
         }
     }
 
@@ -498,7 +524,7 @@ impl Slot {
 
     fn read_back(&self, encoder: &mut wgpu::CommandEncoder, staging: &wgpu::Buffer) {
         let program = &self.program;
-        let guard = if program.options.guard { GUARD_BYTES } else { 0 };
+        let guard = program.guard();
         for output in &program.outputs {
             let Storage::Buffer { bytes } = program.tensors[output.tensor.0].storage else {
                 continue;

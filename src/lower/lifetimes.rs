@@ -22,8 +22,8 @@ fn growth(slot: Storage, need: Storage) -> Option<u64> {
     Some(grown.bytes() - slot.bytes())
 }
 
-/// What holds either.
-fn union(a: Storage, b: Storage) -> Option<Storage> {
+/// What holds either; `None` where they are of different kinds.
+pub(crate) fn union(a: Storage, b: Storage) -> Option<Storage> {
     match (a, b) {
         (Storage::Buffer { bytes: a }, Storage::Buffer { bytes: b }) => {
             Some(Storage::Buffer { bytes: a.max(b) })

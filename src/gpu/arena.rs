@@ -1,0 +1,145 @@
+//! An [`Arena`]: what holds the tensors of one run at a time, of whichever program.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use crate::gpu::context::Gpu;
+use crate::gpu::program::Resource;
+use crate::kernels::Storage;
+use crate::lower::lifetimes;
+
+/// Memory that the slots of several programs share, those of pictures and their parts, as long as no two of
+/// them run at once. It grows to what the largest needs.
+#[derive(Default)]
+pub(crate) struct Arena(Mutex<Held>);
+
+#[derive(Default)]
+struct Held {
+    /// Of each kind the largest first.
+    storage: Vec<(Storage, Resource)>,
+    /// What the host writes of a size of its own for each picture: by the place of the input among such, and
+    /// the picture.
+    given: Vec<((usize, u32), wgpu::Buffer)>,
+}
+
+impl std::fmt::Debug for Arena {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let held = self.held();
+        write!(f, "Arena({} buffers and textures)", held.storage.len() + held.given.len())
+    }
+}
+
+impl Arena {
+    fn held(&self) -> MutexGuard<'_, Held> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What holds each of `wanted`, all at once: the largest in the largest of its kind, which grows if it must.
+    /// Behind each of them there are `guard` bytes. A run that is under way keeps what it has.
+    pub(super) fn storage(&self, gpu: &Gpu, wanted: &[Storage], guard: u64) -> Vec<Resource> {
+        let mut order: Vec<usize> = (0..wanted.len()).collect();
+        order.sort_by_key(|at| std::cmp::Reverse(wanted[*at].bytes()));
+        let held = &mut self.held().storage;
+        let mut found = vec![None; wanted.len()];
+        let mut taken = vec![false; held.len()];
+        for at in order {
+            let free = held.iter().zip(&taken).enumerate().filter(|(_, (_, taken))| !**taken);
+            let of_kind = free.map(|(place, ((storage, _), _))| (place, *storage));
+            let mut fits =
+                of_kind.filter_map(|(p, s)| Some((p, s, lifetimes::union(s, wanted[at])?)));
+            found[at] = Some(match fits.next() {
+                Some((place, storage, both)) => {
+                    taken[place] = true;
+                    if both != storage {
+                        held[place] = (both, gpu.create(both, guard));
+                    }
+                    held[place].1.clone()
+                }
+                None => {
+                    let resource = gpu.create(wanted[at], guard);
+                    held.push((wanted[at], resource.clone()));
+                    taken.push(true);
+                    resource
+                }
+            });
+        }
+        found.into_iter().flatten().collect()
+    }
+
+    /// A buffer of at least so many bytes for an input of a picture.
+    pub(super) fn given(&self, gpu: &Gpu, at: (usize, u32), bytes: u64) -> Option<wgpu::Buffer> {
+        let given = &mut self.held().given;
+        if let Some((_, buffer)) = given.iter().find(|(of, _)| *of == at)
+            && buffer.size() >= bytes
+        {
+            return Some(buffer.clone());
+        }
+        let Resource::Buffer(buffer) = gpu.create(Storage::Buffer { bytes }, 0) else {
+            return None;
+        };
+        given.retain(|(of, _)| *of != at);
+        given.push((at, buffer.clone()));
+        Some(buffer)
+    }
+
+    /// Forgets everything: the driver may have objected to it.
+    pub(super) fn clear(&self) {
+        *self.held() = Held::default();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::gpu::{GpuOptions, Program, ProgramOptions, Slot};
+    use crate::graph::{Graph, TensorId};
+    use crate::lower::{Choice, Request, lower};
+    use crate::ops::MaxPool2d;
+    use crate::precision::Precision;
+    use crate::shape::{Extent, TensorSpec};
+    use crate::tensor::{Tensor, Value};
+
+    /// Three maxima in a row over maps of so many pixels, and what runs them.
+    fn maxima(gpu: &Arc<Gpu>, side: usize) -> (Arc<Program>, TensorId, TensorId) {
+        let mut graph = Graph::default();
+        let input = graph.input("input", TensorSpec::f32([4, side, side]), Extent::Exact);
+        let pool = MaxPool2d { kernel: 3, stride: 1, padding: 1 };
+        let names = ["first", "second", "third"];
+        let output =
+            names.iter().fold(input, |map, name| graph.apply1(name, pool, &[map]).expect("a map"));
+        graph.mark_output(output);
+        let (caps, choice) = (gpu.caps(), &Choice::default());
+        let request = Request { keep: &[], batch: 1, precision: Precision::F32, caps, choice };
+        let lowered = lower(&graph, &request).expect("kernels");
+        let program = Program::new(gpu, &lowered, None, ProgramOptions::default());
+        (Arc::new(pollster::block_on(program).expect("a program")), input, output)
+    }
+
+    /// A run finds its memory whoever ran there before, and however that made it grow.
+    #[test]
+    fn programs_of_several_sizes_take_turns() {
+        let gpu = pollster::block_on(Gpu::open(GpuOptions::default())).expect("an adapter");
+        let arena = Arc::new(Arena::default());
+        let sizes = [8, 32, 5];
+        let mut runs = sizes.map(|side| {
+            let (program, input, output) = maxima(&gpu, side);
+            let slot = |arena| pollster::block_on(Slot::sharing(&program, arena)).expect("a slot");
+            (side, input, output, slot(&Arc::default()), slot(&arena))
+        });
+        let resources = arena.held().storage.len();
+        for round in 0..3 {
+            for (side, input, output, alone, sharing) in &mut runs {
+                let value = |i: usize| ((i * 31 + round * 17) % 101) as f32;
+                let picture = Value::from(Tensor::from_fn([4, *side, *side], value));
+                let run = |slot: &mut Slot| {
+                    slot.run(&[(*input, &picture)]).expect("a run").first()[&*output].clone()
+                };
+                assert_eq!(run(sharing), run(alone), "{side} in round {round}");
+            }
+        }
+        assert_eq!(arena.held().storage.len(), resources, "nothing more is held");
+        let most = runs.map(|(.., slot)| slot.program().storage.len()).into_iter().max();
+        assert_eq!(Some(resources), most, "what the programs need at once");
+    }
+}

@@ -8,7 +8,7 @@ use crate::kernels::Storage;
 use crate::lower::lifetimes;
 
 /// Memory that the slots of several programs share, those of pictures and their parts, as long as no two of
-/// them run at once. It grows to what the largest needs.
+/// them run at once. It grows to what the largest needs; a slot keeps what it had until it runs again.
 #[derive(Default)]
 pub(crate) struct Arena(Mutex<Held>);
 

@@ -688,6 +688,9 @@ impl Gpu {
                 wanted.entry(key).or_insert(dispatch);
             }
         }
+        let known = self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
+        wanted.retain(|key, _| !known.contains_key(key));
+        drop(known);
         // Several entries of a module next to each other wait for it together.
         let mut wanted: Vec<_> = wanted.into_iter().collect();
         wanted.sort_by(|a, b| (a.0.2, &a.0).cmp(&(b.0.2, &b.0)));
@@ -703,7 +706,8 @@ impl Gpu {
         };
         std::thread::scope(|scope| {
             let cores = std::thread::available_parallelism().map_or(1, usize::from);
-            let threads: Vec<_> = (0..cores).map(|_| scope.spawn(compile)).collect();
+            let threads = cores.min(wanted.len());
+            let threads: Vec<_> = (0..threads).map(|_| scope.spawn(compile)).collect();
             let result = meanwhile();
             for thread in threads {
                 match thread.join() {

@@ -135,8 +135,8 @@ impl Scene {
 }
 
 impl Default for Scene {
-    /// What lost none of 2003 labelled snaps: `contact` and `regions`. `proposals` lost five, and is for those
-    /// who ask.
+    /// What lost none of 2003 labelled snaps: `contact` and `regions`. `proposals` lost one, with earlier weights
+    /// five, and is for those who ask.
     fn default() -> Self {
         Self { contact: true, regions: true, ..Self::FULL }
     }

@@ -117,16 +117,18 @@ def errors(looks: Looks, temperature: float) -> dict[str, np.ndarray]:
 def fit_deviations(stated: np.ndarray, error: np.ndarray) -> tuple[float, float]:
     """The k and ln c under which SHARE of the errors lie within c stated^k, whatever is stated.
 
-    A quantile regression of ln |error| on ln stated (Koenker and Bassett 1978): the least sum of
-    pinball losses over k in steps of 0.01; for each k, ln c is a quantile.
+    For each k, ln c is a quantile of ln |error| - k ln stated. Of k in steps of 0.01 the one that
+    leaves the thirds by stated deviation most alike: a quantile regression weighs errors by their
+    size, and where few large ones are at large deviations it leaves the smallest third too small.
     """
-    stated, error = np.log(stated), np.log(np.maximum(error, 1e-6))
+    order = np.argsort(stated)
+    stated, error = np.log(stated[order]), np.log(np.maximum(error[order], 1e-6))
 
     def fit(k: float) -> tuple[float, float, float]:
         rest = error - k * stated
         shift = float(np.quantile(rest, SHARE))
-        over = rest - shift
-        return float(np.maximum(SHARE * over, (SHARE - 1) * over).sum()), k, shift
+        shares = [(part <= shift).mean() for part in np.array_split(rest, 3)]
+        return sum((share - SHARE) ** 2 for share in shares), k, shift
 
     _, k, shift = min(fit(k) for k in np.arange(30, 171) / 100)
     return float(k), shift

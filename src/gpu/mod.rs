@@ -2,7 +2,7 @@
 //!
 //! A [`Program`] is what a graph was lowered to, on a device: pipelines and weights, shared by all runs.
 //! A [`Slot`] is one run's worth of memory, so that several pictures can be in flight; slots of programs
-//! that take turns share an [`Arena`].
+//! that take turns share an `Arena`.
 
 mod arena;
 mod context;

@@ -42,7 +42,7 @@ impl RunOutput {
 /// The values that a run takes, by the graph's inputs.
 pub type Inputs<'a> = [(TensorId, &'a Value)];
 
-/// One run of a [`Program`] at a time: what binds it to an [`Arena`], and staging memory.
+/// One run of a [`Program`] at a time: what binds it to an `Arena`, and staging memory.
 pub struct Slot {
     program: Arc<Program>,
     arena: Arc<Arena>,

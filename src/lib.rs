@@ -84,6 +84,7 @@ pub mod graph;
 #[cfg(feature = "cpu")]
 pub mod host;
 pub mod kernels;
+mod lock;
 pub mod lower;
 #[cfg(feature = "eval")]
 pub mod metrics;

@@ -1,6 +1,6 @@
 //! The network on one device, for each size of input that pictures ask for.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use crate::detector::contact;
 use crate::detector::engine::{self, Engine};
@@ -9,6 +9,7 @@ use crate::detector::runner::On;
 use crate::detector::{Config, Device, WeightSource};
 use crate::error::{Error, Result};
 use crate::gpu::{AdapterChoice, Gpu, GpuOptions};
+use crate::lock::lock;
 use crate::lower::Choice;
 use crate::model::{ModelConfig, Network, Thresholds, Weights};
 use crate::precision::Precision;
@@ -173,7 +174,7 @@ impl<K: PartialEq + Copy, T> Recent<K, T> {
         if let Some(found) = self.find(key) {
             return Ok(found);
         }
-        let _one = building.lock().unwrap_or_else(PoisonError::into_inner);
+        let _one = lock(building);
         // Another thread may have been faster.
         if let Some(found) = self.find(key) {
             return Ok(found);
@@ -200,7 +201,7 @@ impl<K: PartialEq + Copy, T> Recent<K, T> {
     }
 
     fn all(&self) -> MutexGuard<'_, Vec<(K, Arc<T>)>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 }
 

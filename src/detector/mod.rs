@@ -39,6 +39,7 @@ use crate::error::{Error, Result};
 use crate::frame::{Frame, Rect};
 use crate::gpu::{Deadline, Gpu};
 use crate::graph::{StageTime, TensorId};
+use crate::lock::lock;
 use crate::lower::Choice;
 use crate::model::ModelConfig;
 use crate::pixel_format::PixelFormat;
@@ -406,7 +407,7 @@ impl GpuDetector {
         if view.frame != [frame.width, frame.height] {
             return Ok(None);
         }
-        let mut known = self.reference.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = lock(&self.reference);
         if let Some((_, cells)) = known.as_ref().filter(|(of, _)| of == view) {
             return Ok(Some(cells.clone()));
         }
@@ -576,7 +577,7 @@ impl GpuDetector {
 
     /// Opens a new device in place of that of `lost`, unless another thread has.
     fn rebuild(&self, lost: &Arc<Engines>) -> Result<Arc<Engines>> {
-        let _one = self.rebuilding.lock().unwrap_or_else(PoisonError::into_inner);
+        let _one = lock(&self.rebuilding);
         let current = self.engines();
         if !Arc::ptr_eq(&current, lost) {
             return Ok(current);

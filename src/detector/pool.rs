@@ -1,11 +1,12 @@
 //! The memory of a detector's runs: as many in flight as there are arenas, of whichever programs.
 
 use std::future::poll_fn;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::task::{Context, Poll, Waker};
 
 use crate::error::Result;
 use crate::gpu::{Alarm, Arena, Deadline, Gpu, Inputs, Program, RunOutput, Slot};
+use crate::lock::lock;
 
 /// Arenas, handed out one at a time.
 pub(super) struct Pool {
@@ -37,10 +38,6 @@ struct Lease<'a> {
     arena: Arc<Arena>,
     /// `None` until it is made.
     slot: Option<Slot>,
-}
-
-fn lock<T>(state: &Mutex<T>) -> MutexGuard<'_, T> {
-    state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Pool {

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 #[cfg(feature = "cpu")]
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use crate::comparison::{How, Values};
 use crate::detector::pool::{Pool, Slots};
@@ -12,6 +12,8 @@ use crate::gpu::{Deadline, Inputs, Program, ProgramOptions};
 use crate::graph::{Graph, StageTime, TensorId};
 #[cfg(feature = "cpu")]
 use crate::host::HostPlan;
+#[cfg(feature = "cpu")]
+use crate::lock::lock;
 use crate::lower::{Choice, Request, lower};
 use crate::precision::Precision;
 
@@ -59,9 +61,7 @@ impl Runner {
             #[cfg(feature = "cpu")]
             (None, _) => {
                 let like = match like {
-                    Some(Self::Host(plan)) => {
-                        Some(plan.lock().unwrap_or_else(PoisonError::into_inner))
-                    }
+                    Some(Self::Host(plan)) => Some(lock(plan)),
                     _ => None,
                 };
                 let plan = HostPlan::new(graph, keep, like.as_deref())?;
@@ -108,9 +108,7 @@ impl Runner {
         match self {
             Self::Reference => one_by_one(pictures, |inputs| graph.reference(inputs, keep)),
             #[cfg(feature = "cpu")]
-            Self::Host(plan) => one_by_one(pictures, |inputs| {
-                plan.lock().unwrap_or_else(PoisonError::into_inner).run(graph, inputs)
-            }),
+            Self::Host(plan) => one_by_one(pictures, |inputs| lock(plan).run(graph, inputs)),
             Self::Gpu(slots) => {
                 let run = slots.run(pictures, deadline.of_run()).await?;
                 Ok((run.values, run.stages))

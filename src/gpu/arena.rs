@@ -1,10 +1,11 @@
 //! An [`Arena`]: what holds the tensors of one run at a time, of whichever program.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 
 use crate::gpu::context::Gpu;
 use crate::gpu::program::Resource;
 use crate::kernels::Storage;
+use crate::lock::lock;
 use crate::lower::lifetimes;
 
 /// Memory that the slots of several programs share, those of pictures and their parts, as long as no two of
@@ -30,7 +31,7 @@ impl std::fmt::Debug for Arena {
 
 impl Arena {
     fn held(&self) -> MutexGuard<'_, Held> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 
     /// What holds each of `wanted`, all at once: the largest in the largest of its kind, which grows if it must.

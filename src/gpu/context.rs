@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 use std::time::Duration;
 
 use crate::error::{Error, Result};
@@ -10,6 +10,7 @@ use crate::gpu::faults::{Call, Fault, Faults};
 use crate::gpu::native::{self, Clock, Loss, Poller};
 use crate::gpu::program::Resource;
 use crate::kernels::{Caps, Command, Dispatch, MAX_WORKGROUPS, Recording, Storage};
+use crate::lock::lock;
 use crate::precision::Precision;
 use crate::shader::{self, BindingKind, Variant};
 
@@ -527,7 +528,7 @@ impl Gpu {
     /// wgpu-core 30 gives its resources back in a poll, and takes its locks in another order there than a
     /// write does: on two threads at a time they would wait for each other for ever.
     fn turn(&self) -> MutexGuard<'_, ()> {
-        self.turns.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.turns)
     }
 
     /// Waits for what was submitted.
@@ -637,7 +638,7 @@ impl Gpu {
 
     /// Counts `bytes` that wait to be uploaded, and passes them on before they are many.
     fn pass_uploads_on(&self, bytes: usize) {
-        let mut waiting = self.uploads.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut waiting = lock(&self.uploads);
         *waiting += bytes;
         if *waiting >= UPLOAD_BYTES {
             *waiting = 0;
@@ -649,7 +650,7 @@ impl Gpu {
 
     fn module(&self, shader: &'static shader::Shader, variant: &Variant) -> Result<Arc<Module>> {
         let key = (shader.stem, variant.clone());
-        let mut modules = self.modules.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut modules = lock(&self.modules);
         if let Some(module) = modules.get(&key) {
             return Ok(module.clone());
         }
@@ -688,7 +689,7 @@ impl Gpu {
                 wanted.entry(key).or_insert(dispatch);
             }
         }
-        let known = self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = lock(&self.pipelines);
         wanted.retain(|key, _| !known.contains_key(key));
         drop(known);
         // Several entries of a module next to each other wait for it together.
@@ -723,9 +724,7 @@ impl Gpu {
     pub(super) fn pipeline(&self, dispatch: &Dispatch) -> Result<Arc<Pipeline>> {
         let shader = dispatch.shader;
         let key = (shader.stem, dispatch.variant.clone(), dispatch.entry);
-        let known = |key: &PipelineKey| {
-            self.pipelines.lock().unwrap_or_else(PoisonError::into_inner).get(key).cloned()
-        };
+        let known = |key: &PipelineKey| lock(&self.pipelines).get(key).cloned();
         if let Some(pipeline) = known(&key) {
             return Ok(pipeline);
         }
@@ -736,9 +735,9 @@ impl Gpu {
         let built = pollster::block_on(self.scoped(&format!("compiling {label}"), build));
         let pipeline = built.inspect_err(|_| {
             let key = (shader.stem, dispatch.variant.clone());
-            self.modules.lock().unwrap_or_else(PoisonError::into_inner).remove(&key);
+            lock(&self.modules).remove(&key);
         })?;
-        let mut pipelines = self.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut pipelines = lock(&self.pipelines);
         Ok(pipelines.entry(key).or_insert(Arc::new(pipeline)).clone())
     }
 

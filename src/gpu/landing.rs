@@ -1,7 +1,7 @@
 //! A [`Landing`]: what a run copied to a staging buffer, on its way to the host.
 
 use std::future::poll_fn;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::task::{Poll, Waker};
 use std::time::{Duration, Instant};
 
@@ -9,6 +9,7 @@ use crate::error::{Error, Result};
 use crate::gpu::context::Gpu;
 use crate::gpu::faults::{Call, Fault};
 use crate::gpu::native::Alarm;
+use crate::lock::lock;
 
 /// Until when a caller waits, and what it asked for.
 #[derive(Clone, Copy, Debug)]
@@ -73,10 +74,6 @@ struct State {
     /// What the driver said, once it did.
     result: Option<Result<(), String>>,
     wakers: Vec<Waker>,
-}
-
-fn lock(state: &Mutex<State>) -> MutexGuard<'_, State> {
-    state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Landing {

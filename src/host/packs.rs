@@ -1,9 +1,10 @@
 //! Weights as kernels want them, shared by plans of the same weights.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use crate::error::Result;
+use crate::lock::lock;
 use crate::tensor::{Constant, Tensor};
 
 /// A tensor's name, and how it is packed.
@@ -36,7 +37,7 @@ impl Pack<'_> {
         manner: &'static str,
         make: impl FnOnce(&Tensor) -> Vec<f32>,
     ) -> Result<Arc<Vec<f32>>> {
-        let mut all = self.all.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut all = lock(&self.all.0);
         let key = (self.name.to_owned(), manner);
         if let Some(packed) = all.get(&key) {
             return Ok(packed.clone());

@@ -7,7 +7,7 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::SystemTime;
 
 use half::slice::HalfFloatSliceExt;
@@ -15,6 +15,7 @@ use safetensors::{Dtype, SafeTensors};
 
 use crate::error::{Error, Result};
 use crate::files;
+use crate::lock::lock;
 use crate::model::config::ModelConfig;
 use crate::shape::{Shape, TensorSpec};
 use crate::tensor::{Constant, Tensor};
@@ -72,7 +73,7 @@ impl OnDisk {
     /// The bytes there, if nobody has written to the file since.
     fn read(&self, range: &Range<usize>) -> Result<Vec<u8>> {
         let mut bytes = vec![0; range.len()];
-        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut file = lock(&self.file);
         let read = file.seek(SeekFrom::Start(range.start as u64));
         read.and_then(|_| file.read_exact(&mut bytes)).map_err(|e| self.fail(e))?;
         let now = file.metadata().map_err(|e| self.fail(e))?;

@@ -17,7 +17,7 @@ pub(crate) struct Arena(Mutex<Held>);
 struct Held {
     /// Of each kind the largest first.
     storage: Vec<(Storage, Resource)>,
-    /// What the host writes of a size of its own for each picture: by the place of the input among such, and
+    /// What the host writes of a size of its own for each picture: by the number of the input among such, and
     /// the picture.
     given: Vec<((usize, u32), wgpu::Buffer)>,
 }
@@ -34,36 +34,28 @@ impl Arena {
         lock(&self.0)
     }
 
-    /// What holds each of `wanted`, all at once: the largest in the largest of its kind, which grows if it must.
-    /// Behind each of them there are `guard` bytes. A run that is under way keeps what it has.
+    /// What holds each of `wanted`, all at once: each in the first of its kind that is left, which grows if it
+    /// must. So the largest come first on both sides. Behind each of them there are `guard` bytes. A run that is
+    /// under way keeps what it has.
     pub(super) fn storage(&self, gpu: &Gpu, wanted: &[Storage], guard: u64) -> Vec<Resource> {
-        let mut order: Vec<usize> = (0..wanted.len()).collect();
-        order.sort_by_key(|at| std::cmp::Reverse(wanted[*at].bytes()));
         let held = &mut self.held().storage;
-        let mut found = vec![None; wanted.len()];
         let mut taken = vec![false; held.len()];
-        for at in order {
-            let free = held.iter().zip(&taken).enumerate().filter(|(_, (_, taken))| !**taken);
-            let of_kind = free.map(|(place, ((storage, _), _))| (place, *storage));
-            let mut fits =
-                of_kind.filter_map(|(p, s)| Some((p, s, lifetimes::union(s, wanted[at])?)));
-            found[at] = Some(match fits.next() {
-                Some((place, storage, both)) => {
-                    taken[place] = true;
-                    if both != storage {
-                        held[place] = (both, gpu.create(both, guard));
-                    }
-                    held[place].1.clone()
-                }
-                None => {
-                    let resource = gpu.create(wanted[at], guard);
-                    held.push((wanted[at], resource.clone()));
-                    taken.push(true);
-                    resource
-                }
+        let take = |wanted: &Storage| {
+            let fits = |place: &usize| lifetimes::union(held[*place].0, *wanted).is_some();
+            let found = (0..held.len()).filter(|place| !taken[*place]).find(fits);
+            let place = found.unwrap_or_else(|| {
+                held.push((*wanted, gpu.create(*wanted, guard)));
+                taken.push(false);
+                held.len() - 1
             });
-        }
-        found.into_iter().flatten().collect()
+            taken[place] = true;
+            let (storage, resource) = &mut held[place];
+            if let Some(both) = lifetimes::union(*storage, *wanted).filter(|both| both != storage) {
+                (*storage, *resource) = (both, gpu.create(both, guard));
+            }
+            resource.clone()
+        };
+        wanted.iter().map(take).collect()
     }
 
     /// A buffer of at least so many bytes for an input of a picture.

@@ -60,8 +60,8 @@ pub(super) enum Place {
     Fixed(usize),
     /// In a slot's storage.
     Slot(usize),
-    /// Given for each picture.
-    Given(TensorId),
+    /// Given for each picture, of a size of its own: its number among such.
+    Given(usize),
 }
 
 /// One binding of a dispatch.
@@ -132,6 +132,7 @@ pub struct Program {
     pub(super) places: Vec<Option<Place>>,
     /// The recording's tensor of each of the graph's inputs and outputs.
     pub(super) names: HashMap<TensorId, TensorId>,
+    /// What a slot needs of an arena, the largest first.
     pub(super) storage: Vec<Storage>,
     pub(super) fixed: Vec<Resource>,
     pub(super) uniforms: wgpu::Buffer,
@@ -234,6 +235,7 @@ impl Program {
         like: Option<&Program>,
     ) -> Result<()> {
         let mut slots: HashMap<usize, usize> = HashMap::new();
+        let mut given = 0;
         // The largest first: what it takes to make them is not yet beside all the others.
         let mut order: Vec<usize> = (0..recording.tensors().len()).collect();
         order.sort_by_key(|index| std::cmp::Reverse(recording.tensors()[*index].storage.bytes()));
@@ -242,8 +244,10 @@ impl Program {
             let Some(slot) = assignment.slot[index] else { continue };
             self.places[index] = Some(match &info.role {
                 Role::Constant(_) => Place::Fixed(self.upload(info, like)?),
-                // Of a size of its own for each picture.
-                Role::Input(Extent::UpTo) => Place::Given(TensorId(index)),
+                Role::Input(Extent::UpTo) => {
+                    given += 1;
+                    Place::Given(given - 1)
+                }
                 Role::Input(Extent::Exact) | Role::Transient | Role::Output => {
                     let next = self.storage.len();
                     let at = *slots.entry(slot).or_insert(next);
@@ -388,14 +392,6 @@ impl Program {
     /// Bytes behind each tensor that no shader may touch.
     pub(super) fn guard(&self) -> u64 {
         if self.options.guard { GUARD_BYTES } else { 0 }
-    }
-
-    /// The inputs of a size of their own for each picture.
-    pub(super) fn given(&self) -> impl Iterator<Item = TensorId> + '_ {
-        self.places.iter().enumerate().filter_map(|(index, place)| match place {
-            Some(Place::Given(_)) => Some(TensorId(index)),
-            _ => None,
-        })
     }
 
     /// The device.

@@ -48,8 +48,8 @@ pub struct Slot {
     arena: Arc<Arena>,
     /// What the arena held at the last run.
     storage: Vec<Resource>,
-    /// What the host writes there, by the recording's tensor and the picture.
-    given: HashMap<(TensorId, u32), wgpu::Buffer>,
+    /// What the host writes there of a size of its own, by its number and the picture.
+    given: HashMap<(usize, u32), wgpu::Buffer>,
     /// For each step, its bindings; none for copies, and before they are needed.
     groups: Vec<Option<wgpu::BindGroup>>,
     /// None after a run that failed, until the next.
@@ -312,7 +312,7 @@ impl Slot {
     fn give(&mut self, id: TensorId, picture: u32, value: &Value) {
         let program = self.program.clone();
         match program.places[id.0] {
-            Some(Place::Given(_)) => self.give_alone(id, picture, value),
+            Some(Place::Given(number)) => self.give_alone((number, picture), id, value),
             Some(place) => {
                 if let Some(Resource::Buffer(buffer)) = self.resource(place, picture) {
                     let offset = u64::from(picture) * program.tensors[id.0].stride;
@@ -325,18 +325,17 @@ impl Slot {
     }
 
     /// Writes an input of a size of its own, in a larger buffer if it needs one.
-    fn give_alone(&mut self, id: TensorId, picture: u32, value: &Value) {
+    fn give_alone(&mut self, at: (usize, u32), id: TensorId, value: &Value) {
         let program = self.program.clone();
         let gpu = &program.gpu;
         let bytes = value.bytes().len().max(4) as u64;
         let guard = program.guard();
-        let place = program.given().position(|given| given == id).unwrap_or_default();
-        let Some(buffer) = self.arena.given(gpu, (place, picture), bytes + guard) else { return };
-        if self.given.insert((id, picture), buffer.clone()).as_ref() != Some(&buffer) {
+        let Some(buffer) = self.arena.given(gpu, at, bytes + guard) else { return };
+        if self.given.insert(at, buffer.clone()).as_ref() != Some(&buffer) {
             // Whoever binds it binds anew.
             for (group, step) in self.groups.iter_mut().zip(&program.steps) {
                 let Step::Dispatch { bound, .. } = step else { continue };
-                if bound.iter().any(|b| matches!(b.place, Place::Given(given) if given == id)) {
+                if bound.iter().any(|b| matches!(b.place, Place::Given(number) if number == at.0)) {
                     *group = None;
                 }
             }
@@ -383,7 +382,9 @@ impl Slot {
         match place {
             Place::Fixed(at) => self.program.fixed.get(at).cloned(),
             Place::Slot(at) => self.storage.get(at).cloned(),
-            Place::Given(id) => self.given.get(&(id, picture)).cloned().map(Resource::Buffer),
+            Place::Given(number) => {
+                self.given.get(&(number, picture)).cloned().map(Resource::Buffer)
+            }
         }
     }
 

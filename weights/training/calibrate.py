@@ -119,26 +119,29 @@ def fit_deviations(stated: np.ndarray, error: np.ndarray) -> tuple[float, float]
 
     For each k, ln c is a quantile of ln |error| - k ln stated. Of k in steps of 0.01 the one that
     leaves the thirds by stated deviation most alike: a quantile regression weighs errors by their
-    size, and where few large ones are at large deviations it leaves the smallest third too small.
+    size, and may leave too few within it in the third with the smallest deviations.
     """
-    order = np.argsort(stated)
-    stated, error = np.log(stated[order]), np.log(np.maximum(error[order], 1e-6))
+    stated, error = np.log(stated), np.log(np.maximum(error, 1e-6))
 
     def fit(k: float) -> tuple[float, float, float]:
         rest = error - k * stated
         shift = float(np.quantile(rest, SHARE))
-        shares = [(part <= shift).mean() for part in np.array_split(rest, 3)]
-        return sum((share - SHARE) ** 2 for share in shares), k, shift
+        return sum((share - SHARE) ** 2 for share in thirds(k * stated + shift, error)), k, shift
 
     _, k, shift = min(fit(k) for k in np.arange(30, 171) / 100)
     return float(k), shift
 
 
-def thirds(stated: np.ndarray, error: np.ndarray) -> str:
-    """Shares of the errors within one deviation, of all and by thirds of what is stated."""
+def thirds(stated: np.ndarray, error: np.ndarray) -> list[float]:
+    """Shares of the errors within one deviation, by thirds of what is stated; of both also the logarithms."""
     within = error <= stated
-    parts = [within, *np.array_split(within[np.argsort(stated)], 3)]
-    return "{:.0f} % ({:.0f}, {:.0f}, {:.0f})".format(*(100 * p.mean() for p in parts))
+    return [float(part.mean()) for part in np.array_split(within[np.argsort(stated)], 3)]
+
+
+def shares(stated: np.ndarray, error: np.ndarray) -> str:
+    """The shares of all and of the thirds, for people."""
+    parts = [(error <= stated).mean(), *thirds(stated, error)]
+    return "{:.0f} % ({:.0f}, {:.0f}, {:.0f})".format(*(100 * p for p in parts))
 
 
 def main() -> None:
@@ -172,8 +175,8 @@ def main() -> None:
             k, shift = fit_deviations(stated, error)
             # The unit of the variance that the row states is rad² or mm².
             unit = math.radians(1) if name == "yaw" else 1.0
-            after = thirds(np.exp(shift) * stated**k, error)
-            print(f"{name}: {len(stated)} errors, within one stated deviation {thirds(stated, error)}; {math.exp(shift):.3f} s^{k}: {after}")
+            after = shares(np.exp(shift) * stated**k, error)
+            print(f"{name}: {len(stated)} errors, within one stated deviation {shares(stated, error)}; {math.exp(shift):.3f} s^{k}: {after}")
             with torch.no_grad():
                 model.roi_head.pose.weight[output] *= k
                 bias = model.roi_head.pose.bias

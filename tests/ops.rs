@@ -5,6 +5,8 @@ mod support;
 
 #[path = "ops/apply_gates.rs"]
 mod apply_gates;
+#[path = "ops/box_voting.rs"]
+mod box_voting;
 #[path = "ops/channel_gate.rs"]
 mod channel_gate;
 #[path = "ops/channel_pool.rs"]

@@ -31,6 +31,7 @@ const PROBES: [&str; 13] = [
 /// The probes that are legal, by operation and parameter; for a list, of each of its elements.
 /// Whoever adds a parameter says here what it takes.
 const LEGAL: &[(&str, &str, &[&str])] = &[
+    ("box_voting", "iou_threshold", &["0", "-0", "0.5", "1e-45"]),
     ("contact", "least", &["0", "-0", "0.5", "1e38", "1e-45", "4294967295", "4294967296"]),
     ("contact", "most", &["0", "-0", "0.5", "1e38", "1e-45", "4294967295", "4294967296"]),
     ("contact", "clipped", &["0", "-0", "0.5", "1e38", "1e-45", "4294967295", "4294967296"]),
@@ -46,7 +47,6 @@ const LEGAL: &[(&str, &str, &[&str])] = &[
     ("decode_detections", "height", &[]),
     ("decode_detections", "weights", &["0.5"]),
     ("decode_detections", "class_mask", &["0", "4294967295"]),
-    ("decode_pose", "classes", &[]),
     // All four sides alike are no box.
     ("decode_proposals", "anchors", &[]),
     ("decode_proposals", "stride", &[]),

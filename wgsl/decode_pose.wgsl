@@ -1,17 +1,14 @@
-// The pose of each detection, from the row of the region it came from; an invocation each.
+// The pose of each detection, from its row of the RoI head; an invocation each.
 
 struct Params {
-    rows: u32,
     capacity: u32,
-    classes: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-// A row (c, s, v, vx, vy, w) a region.
+// (c, s, v, vx, vy, w) each
 @group(0) @binding(1) var<storage, read> rows: array<f32>;
-@group(0) @binding(2) var<storage, read> keep: array<u32>;
-@group(0) @binding(3) var<storage, read> count: array<u32>;
-@group(0) @binding(4) var<storage, read_write> output: array<f32>;
+@group(0) @binding(2) var<storage, read> count: array<u32>;
+@group(0) @binding(3) var<storage, read_write> output: array<f32>;
 
 // include: index
 
@@ -59,7 +56,7 @@ fn main(
     if at >= min(count[0], params.capacity) {
         return;
     }
-    let row = 6u * min(keep[at] / params.classes, params.rows - 1u);
+    let row = 6u * at;
     let angle = arc_tangent(normal(rows[row + 1u]), normal(rows[row]));
     output[5u * at] = angle * DEGREES;
     // ln(pi^2 / 3) and ln 100.

@@ -3,6 +3,7 @@
 //! The functions take tensors that `ops` has checked; a shape that does not fit is a bug here.
 
 mod apply_gates;
+mod box_voting;
 mod channel_gate;
 mod channel_pool;
 mod contact;
@@ -28,6 +29,7 @@ mod upsample_bilinear;
 mod weighted_sum;
 
 pub use apply_gates::apply_gates;
+pub use box_voting::{Voters, box_voting};
 pub use channel_gate::channel_gate;
 pub use channel_pool::channel_pool;
 pub use contact::{ContactRule, contact};

@@ -7,9 +7,7 @@ use crate::shader::{Shader, shader_params};
 
 shader_params! {
     struct Params {
-        rows: u32,
         capacity: u32,
-        classes: u32,
     }
 }
 
@@ -23,12 +21,10 @@ static SHADER: Shader = Shader {
 pub(super) static PLANAR: Plain = Plain { id: "decode_pose/planar", shader: &SHADER, dispatch };
 
 fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {
-    let op: &DecodePose = work.op()?;
-    let rows = recording.dims(inputs[0])[0] as u32;
-    let capacity = recording.dims(inputs[1])[0];
-    let params = Params { rows, capacity: capacity as u32, classes: op.classes as u32 };
-    let bindings =
-        [("rows", inputs[0]), ("keep", inputs[1]), ("count", inputs[2]), ("output", outputs[0])];
+    let _op: &DecodePose = work.op()?;
+    let capacity = recording.dims(inputs[0])[0];
+    let params = Params { capacity: capacity as u32 };
+    let bindings = [("rows", inputs[0]), ("count", inputs[1]), ("output", outputs[0])];
     // Not indirect: so few invocations cost less than the dispatch that would save them.
     let grid = Grid::linear(capacity, 64);
     Ok(Dispatch::new(&SHADER, "main", &params, &bindings, grid))

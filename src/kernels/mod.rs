@@ -13,6 +13,7 @@ mod recording;
 mod weights;
 
 mod apply_gates;
+mod box_voting;
 mod channel_gate;
 mod channel_pool;
 mod contact;
@@ -201,6 +202,7 @@ pub(crate) fn bounds(
 /// takes.
 static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
     ("apply_gates", &[&apply_gates::Quads, &apply_gates::PLANAR]),
+    ("box_voting", &[&box_voting::PLANAR]),
     ("channel_gate", &[&channel_gate::PLANAR]),
     ("channel_pool", &[&channel_pool::Quads, &channel_pool::PLANAR]),
     ("contact", &[&contact::Planar]),

@@ -5,7 +5,9 @@ use crate::graph::{Graph, TensorId};
 use crate::model::Choice;
 use crate::model::rpn::Proposals;
 use crate::model::weights::Weights;
-use crate::ops::{DecodeDetections, DecodePose, GatherRows, Linear, Nms, RoiAlign, Softmax};
+use crate::ops::{
+    BoxVoting, DecodeDetections, DecodePose, GatherRows, Linear, Nms, RoiAlign, Softmax,
+};
 
 /// Side of the pooled map.
 const POOLED: usize = 7;
@@ -15,6 +17,8 @@ const SAMPLING: usize = 2;
 const POSE: usize = 6;
 /// Box coder weights of the second stage.
 const CODER: [f32; 4] = [10.0, 10.0, 5.0, 5.0];
+/// Intersection over union above which other boxes of its class move a detection.
+const VOTE_IOU: f32 = 0.7;
 /// Smallest side of a detection in pixels of the network's input, as in torchvision.
 const MIN_SIZE: f32 = 1e-2;
 
@@ -113,8 +117,6 @@ pub(super) fn roi_head(
         count: true,
     };
     let kept = graph.apply("roi_head.nms", nms, &[boxes, scores, labels, total])?;
-    let mut gather =
-        |name: &str, rows| graph.apply1(name, GatherRows {}, &[rows, kept[0], kept[1]]);
     let choice = Choice {
         rule: nms,
         boxes,
@@ -124,19 +126,21 @@ pub(super) fn roi_head(
         keep: kept[0],
         kept: kept[1],
     };
-    let boxes = gather("detections.boxes", boxes)?;
+    let rows = [probabilities, deltas].into_iter().chain(pose).collect();
+    let mut vote = |name: &str, rows| {
+        let inputs = [rows, boxes, scores, labels, kept[0], kept[1], total];
+        graph.apply1(name, BoxVoting { iou_threshold: VOTE_IOU }, &inputs)
+    };
+    let voted = vote("detections.boxes", boxes)?;
+    let pose = pose.map(|pose| vote("detections.pose_rows", pose)).transpose()?;
+    let decode = |rows| graph.apply1("detections.pose", DecodePose {}, &[rows, kept[1]]);
+    let pose = pose.map(decode).transpose()?;
+    let mut gather =
+        |name: &str, rows| graph.apply1(name, GatherRows {}, &[rows, kept[0], kept[1]]);
     let scores = gather("detections.scores", scores)?;
     let labels = gather("detections.labels", labels)?;
     graph.rename(kept[1], "detections.count");
-    let rows = [probabilities, deltas].into_iter().chain(pose).collect();
-    let pose = match pose {
-        None => None,
-        Some(pose) => {
-            let decode = DecodePose { classes: classes - 1 };
-            Some(graph.apply1("detections.pose", decode, &[pose, kept[0], kept[1]])?)
-        }
-    };
-    Ok(Head { boxes, scores, classes: labels, count: kept[1], pose, rows, choice })
+    Ok(Head { boxes: voted, scores, classes: labels, count: kept[1], pose, rows, choice })
 }
 
 fn linear(

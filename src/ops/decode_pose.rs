@@ -2,42 +2,37 @@
 
 use crate::cpu;
 use crate::error::{Error, Result};
-use crate::ops::case::{Case, integers, one_way, random, random_integers, values};
+use crate::ops::case::{Case, integers, one_way, random, values};
 use crate::ops::count::{expect_count, live};
 use crate::ops::op::{EPS, Entry, Op, Tolerance, dims};
-use crate::ops::params::{Param, Params as Named, Range, Settings};
+use crate::ops::params::{Params as Named, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "decode_pose",
-    takes: "rows [R, 6], keep u32 [K], count u32 [1]",
+    takes: "rows [K, 6], count u32 [1]",
     gives: "output [K, 5]",
-    params: &[Param::required("classes", "2", Range::Whole(1, 32))],
+    params: &[],
     build,
     cases,
 };
 
-/// Numbers of a region: a vector along the direction; the logarithms of the variances of the
+/// Numbers of a row: a vector along the direction; the logarithms of the variances of the
 /// direction in rad² and of the centre along x and y in mm²; the logit of being whole.
 const TAKEN: usize = 6;
-/// Numbers of a detection.
+/// Numbers of a pose.
 const GIVEN: usize = 5;
 
-/// The pose of each detection, from the row of the region it came from.
+/// The pose of each detection, from its row of the RoI head.
 ///
-/// Inputs: `rows` f32 `[R, 6]`, (c, s, v, vx, vy, w) of each region; `keep` u32 `[K]`, which of the
-/// regions' boxes, `classes` to a region, each detection is; `count` u32 `[1]`, detections in use.
-/// Output: `output` f32 `[K, 5]`: direction and its standard deviation in degrees, the centre's
-/// standard deviations along x and y in millimetres, the probability that the part is whole; rows
-/// behind the count are not written. [`cpu::decode_pose`] has the formulas. The region past the last
-/// is the last.
-#[derive(Clone, Copy, Debug)]
-pub struct DecodePose {
-    /// Boxes that each region has: a class each.
-    pub classes: usize,
-}
+/// Inputs: `rows` f32 `[K, 6]`, (c, s, v, vx, vy, w) each; `count` u32 `[1]`, rows in use. Output:
+/// `output` f32 `[K, 5]`: direction and its standard deviation in degrees, the centre's standard
+/// deviations along x and y in millimetres, the probability that the part is whole; rows behind the
+/// count are not written. [`cpu::decode_pose`] has the formulas.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct DecodePose {}
 
 impl Op for DecodePose {
     fn entry(&self) -> &'static Entry {
@@ -45,11 +40,11 @@ impl Op for DecodePose {
     }
 
     fn settings(&self) -> Settings {
-        vec![("classes", self.classes.into())]
+        Settings::new()
     }
 
     fn inputs(&self) -> Vec<&'static str> {
-        vec!["rows", "keep", "count"]
+        vec!["rows", "count"]
     }
 
     fn outputs(&self) -> Vec<&'static str> {
@@ -59,18 +54,17 @@ impl Op for DecodePose {
     fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let [rows, columns] = dims(self.name(), "rows", &inputs[0], DType::F32)?;
         if rows == 0 || columns != TAKEN {
-            return Err(Error::tensor(self.name(), "rows", "f32 [R, 6]", &inputs[0]));
+            return Err(Error::tensor(self.name(), "rows", "f32 [K, 6]", &inputs[0]));
         }
-        let [kept] = dims(self.name(), "keep", &inputs[1], DType::U32)?;
-        expect_count(self.name(), Some(&inputs[2]))?;
-        Ok(vec![TensorSpec::f32([kept, GIVEN])])
+        expect_count(self.name(), Some(&inputs[1]))?;
+        Ok(vec![TensorSpec::f32([rows, GIVEN])])
     }
 
     fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let mut output = Tensor::zeros(specs[0].shape.clone());
-        let rows = self.rows(inputs)?;
+        let rows = rows(inputs)?;
         for (out, row) in output.data_mut().as_chunks_mut::<GIVEN>().0.iter_mut().zip(rows) {
-            *out = cpu::decode_pose(row).map(|v| v as f32);
+            *out = cpu::decode_pose(*row).map(|v| v as f32);
         }
         Ok(vec![output.into()])
     }
@@ -81,7 +75,7 @@ impl Op for DecodePose {
     fn tolerance(&self, inputs: &[&Value], reference: &[Value]) -> Result<Vec<Tolerance>> {
         let output = reference[0].f32()?;
         let mut bounds = vec![0.0; output.data().len()];
-        let rows = self.rows(inputs)?;
+        let rows = rows(inputs)?;
         let (values, _) = output.data().as_chunks::<GIVEN>();
         for ((bounds, v), row) in bounds.as_chunks_mut::<GIVEN>().0.iter_mut().zip(values).zip(rows)
         {
@@ -102,69 +96,61 @@ impl Op for DecodePose {
     }
 
     fn defined(&self, _reference: &[&Value], inputs: &[&Value]) -> Vec<usize> {
-        let kept = inputs[1].spec().shape.elements();
-        vec![live(Some(inputs[2]), kept).unwrap_or(0) * GIVEN]
+        vec![rows(inputs).map_or(0, |rows| rows.len() * GIVEN)]
     }
 }
 
-impl DecodePose {
-    /// The row of each detection in use.
-    fn rows(&self, inputs: &[&Value]) -> Result<Vec<[f32; TAKEN]>> {
-        let (rows, _) = inputs[0].f32()?.data().as_chunks::<TAKEN>();
-        let keep = inputs[1].u32()?.data();
-        let last = rows.len().saturating_sub(1);
-        let count = live(Some(inputs[2]), keep.len())?;
-        let row = |k: &u32| rows[last.min(*k as usize / self.classes)];
-        Ok(keep[..count].iter().map(row).collect())
-    }
+/// The rows in use.
+fn rows<'a>(inputs: &[&'a Value]) -> Result<&'a [[f32; TAKEN]]> {
+    let (rows, _) = inputs[0].f32()?.data().as_chunks::<TAKEN>();
+    Ok(&rows[..live(Some(inputs[1]), rows.len())?])
 }
 
-fn build(params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
-    Ok(Box::new(DecodePose { classes: params.require("classes")? }))
+fn build(_params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
+    Ok(Box::new(DecodePose {}))
 }
 
 fn cases() -> Vec<Case> {
-    let op = DecodePose { classes: 2 };
+    let op = DecodePose {};
     let count = |n: u32| integers([1], &[n]);
     let row = |r: [f32; 6]| values([1, 6], &r);
-    let one = || integers([1], &[0]);
     let degree = 1f32.to_degrees();
     let ln2 = std::f32::consts::LN_2;
     let mut cases = vec![
-        // Both boxes of region 1, then the first of region 0. e^(2 ln 2 / 2) = 2; 1/(1 + e^-ln 3).
+        // e^(2 ln 2 / 2) = 2; 1/(1 + e^-ln 3).
         Case::new(
             "by hand",
             op,
             vec![
                 values(
-                    [2, 6],
+                    [3, 6],
                     &[
-                        0.0,
-                        -2.0,
-                        0.0,
-                        0.0,
-                        2.0 * ln2,
-                        3f32.ln(),
                         3.0,
                         3.0,
                         -2.0 * ln2,
                         0.0,
                         0.0,
                         0.0,
+                        0.0,
+                        -2.0,
+                        0.0,
+                        0.0,
+                        2.0 * ln2,
+                        3f32.ln(),
+                        1.0,
+                        1.0,
+                        1.0,
+                        1.0,
+                        1.0,
+                        1.0,
                     ],
                 ),
-                integers([4], &[2, 3, 0, 1]),
-                count(3),
+                count(2),
             ],
         )
         .by_hand(vec![values(
-            [4, 5],
+            [3, 5],
             &[
-                45.0,
-                0.5 * degree,
-                1.0,
-                1.0,
-                0.5,
                 45.0,
                 0.5 * degree,
                 1.0,
@@ -183,9 +169,9 @@ fn cases() -> Vec<Case> {
             ],
         )]),
         Case::new(
-            "a region past the last by hand",
+            "a count past the last by hand",
             op,
-            vec![row([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0]), integers([1], &[u32::MAX]), count(1)],
+            vec![row([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0]), count(u32::MAX)],
         )
         .by_hand(vec![values([1, 5], &[180.0, degree, 1.0, 1.0, 0.5])]),
         // e^-6; π/√3 is 180/√3 = 103.923 degrees; √100. A logit of ±200: e^-200 is below every f32.
@@ -197,7 +183,6 @@ fn cases() -> Vec<Case> {
                     [2, 6],
                     &[1.0, 0.0, -99.0, -13.0, 3e38, 200.0, 1.0, -0.0, 3e38, 7.0, -3e38, -200.0],
                 ),
-                integers([2], &[0, 2]),
                 count(2),
             ],
         )
@@ -216,19 +201,15 @@ fn cases() -> Vec<Case> {
                 0.0,
             ],
         )]),
-        Case::new("no direction by hand", op, vec![row([0.0; 6]), one(), count(1)])
+        Case::new("no direction by hand", op, vec![row([0.0; 6]), count(1)])
             .by_hand(vec![values([1, 5], &[0.0, degree, 1.0, 1.0, 0.5])]),
         Case::new(
             "subnormal vectors by hand",
             op,
-            vec![row([-1e-45, 1e-40, 0.0, 0.0, 0.0, 0.0]), one(), count(1)],
+            vec![row([-1e-45, 1e-40, 0.0, 0.0, 0.0, 0.0]), count(1)],
         )
         .by_hand(vec![values([1, 5], &[0.0, degree, 1.0, 1.0, 0.5])]),
-        Case::new(
-            "nothing counted",
-            op,
-            vec![random(1, [3, 6]).into(), integers([2], &[1, 2]), count(0)],
-        ),
+        Case::new("nothing counted", op, vec![random(1, [3, 6]).into(), count(0)]),
     ];
     // Every direction by 1.25 degrees, of vectors as short and as long as can be.
     for (name, length) in
@@ -242,17 +223,15 @@ fn cases() -> Vec<Case> {
                 _ => (i % 13) as f32 - 6.0,
             }
         });
-        let keep = Tensor::from_fn([288], |i| i as u32).into();
-        cases.push(Case::new(name, DecodePose { classes: 1 }, vec![rows.into(), keep, count(288)]));
+        cases.push(Case::new(name, op, vec![rows.into(), count(288)]));
     }
     for (seed, n) in [(10, 63), (20, 64), (30, 65)] {
-        let mut rows = random(seed, [17, 6]);
+        let mut rows = random(seed, [n, 6]);
         rows.data_mut().iter_mut().for_each(|x| *x *= 8.0);
-        let inputs = vec![rows.into(), random_integers(seed + 1, [n], 34), count(n as u32)];
+        let inputs = vec![rows.into(), count(n as u32)];
         cases.push(Case::new(format!("{n} detections"), op, inputs));
     }
-    let inputs =
-        vec![one_way(1000, [100, 6]).into(), random_integers(1001, [100], 200), count(100)];
-    cases.push(Case::new("the RoI head", op, inputs).in_network());
+    let inputs = vec![one_way(1000, [100, 6]).into(), count(100)];
+    cases.push(Case::new("the detections", op, inputs).in_network());
     cases
 }

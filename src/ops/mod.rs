@@ -9,6 +9,7 @@ pub mod params;
 
 mod apply_gates;
 pub mod bounds;
+mod box_voting;
 mod boxes;
 mod channel_gate;
 mod channel_pool;
@@ -37,6 +38,7 @@ pub(crate) mod winograd;
 
 pub use crate::cpu::Crop;
 pub use apply_gates::ApplyGates;
+pub use box_voting::BoxVoting;
 pub use case::{Case, Expected, Report};
 pub use channel_gate::ChannelGate;
 pub use channel_pool::ChannelPool;
@@ -67,6 +69,7 @@ pub use weighted_sum::WeightedSum;
 /// Every operation, by name.
 pub static OPS: &[&Entry] = &[
     &apply_gates::ENTRY,
+    &box_voting::ENTRY,
     &channel_gate::ENTRY,
     &channel_pool::ENTRY,
     &contact::ENTRY,

@@ -64,9 +64,9 @@ class Looks:
         self.config.temperature = 1.0
         rows = []
         for proposals, heads, size, truth in self.rows:
-            boxes, scores, labels, regions = survivors(self.config, heads, proposals, size, 0.05, 0.5)
-            hits = right(truth, {"boxes": boxes, "scores": scores, "labels": labels}) >= 0
-            rows.append((heads.scores[regions], labels, hits))
+            found = survivors(self.config, heads, proposals, size, 0.05, 0.5)
+            hits = right(truth, {"boxes": found.boxes, "scores": found.scores, "labels": found.labels}) >= 0
+            rows.append((heads.scores[found.rows], found.labels, hits))
         logits, labels, hits = (torch.cat(parts) for parts in zip(*rows))
         return logits, labels, hits.numpy()
 

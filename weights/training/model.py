@@ -87,6 +87,10 @@ NETWORKS = {
 }
 
 
+# IoU above which other boxes of its class move a detection.
+VOTE_IOU = 0.7
+
+
 def autocast(device: str) -> torch.autocast:
     """bfloat16 where the device computes in it: emulated, it takes several times as long as float32."""
     native = device != "cpu" or torch.ops.mkldnn._is_mkldnn_bf16_supported()
@@ -375,8 +379,32 @@ def propose(logits: Tensor, deltas: Tensor, anchors: Tensor, size, before: int =
     return proposals[keep], scores[keep]
 
 
-def survivors(config: Config, heads: Heads, proposals: Tensor, size, threshold: float, nms: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """One picture's boxes, scores, labels and the regions that they came from: per-class boxes, NMS within a class, the best 100."""
+@dataclass
+class Survivors:
+    """One picture's detections, best first: what NMS within a class leaves of its boxes."""
+
+    boxes: Tensor  # [K, 4], after the vote
+    scores: Tensor  # [K]
+    labels: Tensor  # [K]
+    rows: Tensor  # [K], the region that each came from
+    pose: Tensor | None  # [K, pose.OUTPUTS], after the vote
+
+
+def vote(rows: Tensor, boxes: Tensor, scores: Tensor, labels: Tensor, keep: Tensor) -> Tensor:
+    """The rows [N, M] of the kept [K] of N boxes, each moved to a mean of those of its class that overlap with it, [K, M].
+
+    Box voting (Gidaris and Komodakis 2015, section 4.3), with weights that begin at 0: score (IoU - t) / (1 - t).
+    """
+    overlap = ops.box_iou(boxes[keep], boxes)
+    weights = scores * (overlap - VOTE_IOU).clamp(min=0) / (1 - VOTE_IOU)
+    weights = weights.where(labels[keep][:, None] == labels, 0.0).nan_to_num()
+    weights[torch.arange(len(keep), device=keep.device), keep] = scores[keep]
+    far = rows[None] - rows[keep][:, None]
+    return rows[keep] + (weights[..., None] * far).sum(dim=1) / weights.sum(dim=1, keepdim=True)
+
+
+def survivors(config: Config, heads: Heads, proposals: Tensor, size, threshold: float, nms: float) -> Survivors:
+    """From the head's outputs: a box for each class, NMS within a class, the best 100, the vote."""
     proposals = proposals.to(heads.scores.dtype)
     probability = (heads.scores / config.temperature).softmax(dim=1)
     found = bx.decode(heads.regression.view(len(proposals), -1, 4), proposals[:, None], bx.ROI_WEIGHTS)
@@ -391,14 +419,16 @@ def survivors(config: Config, heads: Heads, proposals: Tensor, size, threshold: 
     # Descending score; equal scores keep the order (proposal, class) they came in.
     keep = keep.sort().values
     keep = keep[probability[keep].argsort(descending=True, stable=True)][:100]
-    return found[keep], probability[keep], labels[keep], rows[keep]
+    candidates = found, probability, labels, keep
+    turned = None if heads.pose is None else vote(heads.pose.to(found.dtype)[rows], *candidates)
+    return Survivors(vote(found, *candidates), probability[keep], labels[keep], rows[keep], turned)
 
 
 def classify(config: Config, heads: Heads, proposals: Tensor, size, threshold: float, nms: float) -> dict[str, Tensor]:
     """One picture's detections from the head's outputs, as `SmrNet.detect` gives them."""
-    boxes, scores, labels, rows = survivors(config, heads, proposals, size, threshold, nms)
-    result = {"boxes": boxes, "scores": scores, "labels": labels}
-    if heads.pose is not None:
-        directed = torch.tensor([False, *(c in config.directed for c in config.classes)], device=labels.device)
-        result |= pose.decode(heads.pose[rows], directed[labels])
+    found = survivors(config, heads, proposals, size, threshold, nms)
+    result = {"boxes": found.boxes, "scores": found.scores, "labels": found.labels}
+    if found.pose is not None:
+        directed = torch.tensor([False, *(c in config.directed for c in config.classes)], device=proposals.device)
+        result |= pose.decode(found.pose, directed[found.labels])
     return result

@@ -22,7 +22,7 @@ from data import Snaps, cut, network_input, normalise, orient, read_coco, read_p
 from export import random_model
 from gates import PoolChannels, PoolSpace, ScaleChannels, ScaleSpace
 from metrics import calibration_error, right
-from model import NETWORKS, Config, Heads, SmrNet, classify
+from model import NETWORKS, Config, Heads, SmrNet, classify, vote
 
 ROOT = Path(__file__).parents[2]
 
@@ -203,6 +203,17 @@ def detections() -> None:
     assert found["yaw"][0] == 0 and found["yaw"][1].isnan() and found["whole"][1] > 0.99 > found["whole"][0]
 
 
+def voting() -> None:
+    # 10 high. Of the first the second is 85 %: 0.8 * (0.85 - 0.7) / 0.3 = 0.4, its own vote 0.8. The third is of
+    # another class, the fourth exactly 70 %, the last apart.
+    ends = [(0.0, 20.0), (0, 17), (0, 20), (0, 14), (40, 50)]
+    boxes = torch.tensor([[low, 0, high, 10] for low, high in ends], dtype=torch.float64)
+    scores = torch.tensor([0.8, 0.8, 0.9, 0.9, 0.3], dtype=torch.float64)
+    rows = torch.tensor([[1.0, 5], [4, 5], [100, 100], [100, 100], [7, 8]], dtype=torch.float64)
+    found = vote(rows, boxes, scores, torch.tensor([1, 1, 2, 1, 1]), torch.tensor([0, 4]))
+    same("box voting", found, torch.tensor([[2.0, 5], [7, 8]], dtype=torch.float64), 1e-12)
+
+
 def calibration() -> None:
     # Scores of 0.9 of which 8 of 10 are right, and of 0.3 of which 1 of 10 is: (0.1 + 0.2) / 2.
     scores, hits = np.repeat([0.9, 0.3], 10), np.array([True] * 8 + [False] * 2 + [True] + [False] * 9)
@@ -281,6 +292,7 @@ if __name__ == "__main__":
     pose_decoding()
     pose_likelihoods()
     detections()
+    voting()
     calibration()
     deviations()
     networks()

@@ -23,6 +23,14 @@ fn iou_above(a: vec4<f32>, b: vec4<f32>, threshold: f32, zero: u32) -> bool {
     return overlap > rounded(threshold * rounded(both - overlap, zero), zero);
 }
 
+// The intersection over union; 0 for boxes of no area.
+fn iou(a: vec4<f32>, b: vec4<f32>) -> f32 {
+    let size = max(min(a.zw, b.zw) - max(a.xy, b.xy), vec2<f32>(0.0));
+    let shared_area = size.x * size.y;
+    let both = (a.z - a.x) * (a.w - a.y) + (b.z - b.x) * (b.w - b.y) - shared_area;
+    return select(0.0, shared_area / both, shared_area > 0.0 && both > 0.0);
+}
+
 const QUIET_NAN: u32 = 0x7fc00000u;
 
 // By their bits, as WGSL may take all numbers for finite.

@@ -23,6 +23,7 @@ pub(super) struct Args {
     /// Runs of which the best counts.
     #[arg(long, default_value_t = 5, value_name = "N")]
     #[arg(value_parser = clap::value_parser!(u16).range(1..=1000))]
+    #[arg(allow_negative_numbers = true)]
     runs: u16,
 
     /// Print one JSON object a line.

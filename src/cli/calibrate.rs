@@ -61,9 +61,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let ball = Ball { radius_mm: args.radius, mm_per_pixel: args.mm_per_pixel };
     let report = calibrate::calibrate(&args.presses, &ball).map_err(unreadable)?;
     let mut outputs = Outputs::sparing(report.files.iter().chain(&sensors));
-    for file in args.save.iter().chain(&args.write).chain(&args.optics) {
-        outputs.check(file)?;
-    }
+    outputs.check_all(args.save.iter().chain(&args.write).chain(&args.optics))?;
     let side = report.crop_px;
     let contacts = if report.found { "found" } else { "from the table" };
     line(format!(

@@ -47,6 +47,7 @@ pub(super) struct Args {
     /// Show at most so many detections a picture (1 to 100).
     #[arg(long, default_value_t = 100, value_name = "N")]
     #[arg(value_parser = clap::value_parser!(u8).range(1..=100))]
+    #[arg(allow_negative_numbers = true)]
     max_det: u8,
 
     /// Look for this class alone; may be given several times.

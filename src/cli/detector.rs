@@ -27,6 +27,7 @@ pub(super) struct DeviceArgs {
     /// adapter, be it software; its index in `smr-gpu devices`, or part of its name; `cpu` for this
     /// machine's cores, or `reference` for the f64 reference, which is slow.
     #[arg(long, default_value = "auto", value_name = "auto|gpu|cpu|reference|INDEX|NAME")]
+    #[arg(allow_negative_numbers = true)]
     pub device: Device,
 }
 

@@ -33,10 +33,12 @@ pub(super) struct Args {
 
     /// Number of pictures.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(allow_negative_numbers = true)]
     count: u32,
 
     /// Seed of the data set.
     #[arg(long, value_name = "S")]
+    #[arg(allow_negative_numbers = true)]
     seed: u64,
 
     /// Which snaps the pictures show.

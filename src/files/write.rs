@@ -74,6 +74,26 @@ impl Outputs {
         check(path)
     }
 
+    /// Whether [`write`](Self::write) may write all of these, one after the other.
+    ///
+    /// # Errors
+    /// As [`check`](Self::check), also for the second of two that are one file.
+    pub fn check_all<P: AsRef<Path>>(
+        &self,
+        paths: impl IntoIterator<Item = P>,
+    ) -> Result<(), Error> {
+        let mut names = HashSet::new();
+        for path in paths {
+            let path = path.as_ref();
+            self.check(path)?;
+            // As far as names tell: what is not there yet has no other identity.
+            if !names.insert(std::path::absolute(path).unwrap_or_else(|_| path.to_owned())) {
+                return Err(Error::Spared { path: path.to_owned() });
+            }
+        }
+        Ok(())
+    }
+
     /// Writes a file, or leaves what was there; from then on it is spared.
     ///
     /// # Errors
@@ -302,6 +322,9 @@ mod tests {
         assert_eq!(error, "/dev/null: expected a free name or a file to replace, got a device");
         assert_eq!(fs::read(path("input")).expect("kept"), b"input");
         assert_eq!(fs::read(path("other")).expect("kept"), b"other");
+        outputs.check_all([path("other"), path("gone")]).expect("two files");
+        let error = outputs.check_all([path("gone"), path("gone")]).expect_err("one file");
+        assert!(matches!(error, Error::Spared { .. }), "{error}");
         outputs.write(&path("other"), b"new").expect("replaced");
         outputs.write(&path("gone"), b"new").expect("written");
         let error = outputs.write(&path("gone"), b"lost").expect_err("written before");

@@ -50,6 +50,7 @@ pub(super) struct Args {
 
     /// Look at the N pictures with the lowest ids alone, of each folder.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(allow_negative_numbers = true)]
     limit: Option<u32>,
 
     /// Show the paper's figures beside those of the classes A and B.

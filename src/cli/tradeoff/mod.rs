@@ -41,6 +41,7 @@ pub(super) struct Args {
 
     /// Look at the N pictures with the lowest ids alone.
     #[arg(long, default_value_t = 100, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(allow_negative_numbers = true)]
     limit: u32,
 
     /// The networks, the base first [default: those of `large` and `small` that there are].
@@ -93,7 +94,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let file = |extension: &str| args.out.join(format!("tradeoff.{extension}"));
     let mut outputs = Outputs::default();
     let extensions = ["json", "csv", "md", "png", "svg"];
-    extensions.iter().try_for_each(|e| outputs.check(&file(e)))?;
+    outputs.check_all(extensions.map(file))?;
 
     let weights = setups::weights(&args.weights)?;
     let gpu = match &args.device.device {

@@ -16,7 +16,7 @@ use std::path::PathBuf;
 use smr_gpu::Precision;
 use smr_gpu::kernels::Caps;
 use smr_gpu::lower::Choice;
-use smr_gpu::model::{Network, Thresholds, Weights};
+use smr_gpu::model::{Network, Wanted, Weights};
 use smr_gpu::profile::{Cost, costs};
 
 /// A class of GPUs.
@@ -64,10 +64,10 @@ struct Total {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let file = std::env::args_os().nth(1).map(PathBuf::from).ok_or("expected a weight file")?;
-    let thresholds = Thresholds { score: 0.05, ..Thresholds::ALL };
+    let wanted = Wanted { score: 0.05, ..Wanted::ALL };
     let weights = Weights::open(&file)?;
     let size = weights.config().paper_size();
-    let network = Network::new(weights, [size; 2], thresholds)?;
+    let network = Network::new(weights, [size; 2], wanted)?;
     println!("{} at {size} × {size}, predicted\n", file.display());
     for class in &CLASSES {
         let caps = Caps { subgroup: class.subgroup, ..Caps::default() };

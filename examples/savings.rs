@@ -126,10 +126,12 @@ fn main() -> Result<(), Box<dyn Error>> {
         way("nothing left out", own, Scene::FULL)?,
         way("`contact`", own, Scene { contact: true, ..Scene::FULL })?,
         way("`proposals`", own, Scene { proposals: true, ..Scene::FULL })?,
+        way("`scales`", own, Scene { scales: true, ..Scene::FULL })?,
         way("default", own, Scene::default())?,
+        way("default and `scales`", own, Scene { scales: true, ..Scene::default() })?,
     ];
     for margin_mm in &args.margin {
-        let [parts, all] = ["`regions`", "all three"].map(|name| format!("{name}, {margin_mm} mm"));
+        let [parts, all] = ["`regions`", "all four"].map(|name| format!("{name}, {margin_mm} mm"));
         ways.push(way(&parts, own, Scene { margin_mm: *margin_mm, regions: true, ..Scene::FULL })?);
         ways.push(way(&all, own, Scene { margin_mm: *margin_mm, ..Scene::SAVING })?);
     }

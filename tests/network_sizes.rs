@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use smr_gpu::check::check_expected;
-use smr_gpu::model::{Network, Thresholds, Weights};
+use smr_gpu::model::{Network, Wanted, Weights};
 use smr_gpu::ops::{Expected, OPS, Op};
 use smr_gpu::shape::TensorSpec;
 use smr_gpu::tensor::{Tensor, Value};
@@ -31,8 +31,8 @@ fn size_of(op: &dyn Op, inputs: &[&TensorSpec]) -> String {
 fn every_operation_of_the_network_has_a_case_of_its_size() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("weights/smrnet.safetensors");
     let weights = Weights::open(&path).expect("the weights");
-    let thresholds = Thresholds { score: 0.05, ..Thresholds::ALL };
-    let network = Network::new(weights, [320; 2], thresholds).expect("a network");
+    let wanted = Wanted { score: 0.05, ..Wanted::ALL };
+    let network = Network::new(weights, [320; 2], wanted).expect("a network");
     let needed: BTreeSet<String> =
         network.graph.operations().map(|(op, inputs)| size_of(op, &inputs)).collect();
     let mut there = BTreeSet::new();
@@ -49,8 +49,8 @@ fn every_operation_of_the_network_has_a_case_of_its_size() {
 fn what_witnesses_say_is_short() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("weights/smrnet.safetensors");
     let weights = Weights::open(&path).expect("the weights");
-    let thresholds = Thresholds { score: 0.05, ..Thresholds::ALL };
-    let network = Network::new(weights, [320; 2], thresholds).expect("a network");
+    let wanted = Wanted { score: 0.05, ..Wanted::ALL };
+    let network = Network::new(weights, [320; 2], wanted).expect("a network");
     let words = |id| network.graph.spec(id).shape.elements();
     let told: usize = network.witnesses.iter().map(|w| words(w.counts)).sum();
     let seen: usize = network.witnesses.iter().map(|w| words(w.tensor)).sum();

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use smr_gpu::detector::MOST_REUSED;
 use smr_gpu::gpu::AdapterChoice;
 use smr_gpu::metrics::box_iou;
-use smr_gpu::{Config, Device, Frame, GpuDetector, PixelFormat, Precision, Scene, picture};
+use smr_gpu::{
+    Config, Detections, Device, Frame, GpuDetector, PixelFormat, Precision, Scene, picture,
+};
 
 const SIDE: u32 = 1000;
 
@@ -126,17 +128,51 @@ fn parts_and_the_best_proposals_find_the_snap_that_the_whole_finds() {
         let iou = box_iou(found.bbox.map(f64::from), stud.bbox.map(f64::from));
         assert!(found.class == stud.class && iou > 0.8, "{found:?} is not {stud:?}");
     }
-    // Where no score of a part is good enough the whole decides, and its detections are as ever.
+    // Where no score of a part is good enough all of the network looks at the whole, and its detections are
+    // as ever.
     let doubting = Scene { doubt: 1.0, proposals: false, ..Scene::SAVING };
-    let doubted = detect(config(Device::Cpu, doubting).reference(reference));
-    assert_eq!((doubted.contact, &doubted.regions), (Some(true), &None));
-    assert_eq!(doubted.detections, whole.detections);
+    for device in [Device::Cpu, Device::Gpu(AdapterChoice::Auto)] {
+        let whole = detect(config(device.clone(), Scene::FULL));
+        let doubted = detect(config(device, doubting).reference(reference.clone()));
+        assert_eq!((doubted.contact, &doubted.regions), (Some(true), &None));
+        assert_eq!(doubted.detections, whole.detections);
+        assert_eq!((doubted.deepest, doubting.left_out(&doubted)), (true, vec![]));
+    }
     // A part in which something touches and no score is near enough is done with.
     let scene = Scene { doubt: 0.0, ..Scene::SAVING };
     let detector = GpuDetector::new(config(Device::Cpu, scene)).expect("a detector");
     let touched = detector.detect_frame(&gel(1, 1.0, disc(500, 300))).expect("detections");
     assert_eq!((touched.contact, touched.detections.len()), (Some(true), 0));
     assert_eq!(touched.regions.map(|parts| parts.len()), Some(1));
+}
+
+/// Of the deepest scale nothing runs, and the snap is where it was.
+#[test]
+fn the_snap_is_found_without_the_deepest_scale() {
+    let picture = picture::read(file("samples/stud.png")).expect("a sample");
+    let detect = |device: &Device, scene| {
+        let detector = GpuDetector::new(config(device.clone(), scene)).expect("a detector");
+        detector.detect(&picture).expect("detections")
+    };
+    for device in [Device::Cpu, Device::Gpu(AdapterChoice::Auto)] {
+        let whole = detect(&device, Scene::FULL);
+        let scales = Scene { scales: true, ..Scene::FULL };
+        let less = detect(&device, scales);
+        let ran = |found: &Detections, stage: &str| found.stages.iter().any(|t| t.stage == stage);
+        for stage in ["backbone.layer3", "backbone.layer4", "reweight"] {
+            assert!(ran(&whole, stage), "{stage}");
+            assert_eq!(ran(&less, stage), stage != "backbone.layer4", "{stage}");
+        }
+        assert_eq!((whole.deepest, less.deepest), (true, false));
+        assert_eq!(scales.left_out(&less), ["the deepest scale: it hardly weighs"]);
+        let ([stud], [found]) = (&whole.detections[..], &less.detections[..]) else {
+            panic!("one stud each: {:?}, {:?}", whole.detections, less.detections)
+        };
+        // It moves, as its map is another; a tenth of the stud on each side is much.
+        assert_ne!(found.bbox, stud.bbox);
+        let iou = box_iou(found.bbox.map(f64::from), stud.bbox.map(f64::from));
+        assert!(found.class == stud.class && iou > 0.8, "{found:?} is not {stud:?}");
+    }
 }
 
 /// What runs together is windows of a size, of whichever pictures; what is left over runs alone.

@@ -8,7 +8,7 @@ use safetensors::tensor::{Dtype, TensorView};
 use serde_json::{Value as Json, json};
 use smr_gpu::Error;
 use smr_gpu::gpu::{ProgramOptions, Slot};
-use smr_gpu::model::{MAX_FILE, ModelConfig, Network, Thresholds, Variant, Weights};
+use smr_gpu::model::{MAX_FILE, ModelConfig, Network, Variant, Wanted, Weights};
 use smr_gpu::tensor::{Tensor, Value};
 
 const CLASSES: usize = 2;
@@ -199,7 +199,7 @@ fn file(config: &Json, tensors: &[Stored]) -> Vec<u8> {
 }
 
 fn network(bytes: &[u8]) -> smr_gpu::Result<Network> {
-    Network::new(Weights::from_bytes(Path::new("w"), bytes)?, [32; 2], Thresholds::ALL)
+    Network::new(Weights::from_bytes(Path::new("w"), bytes)?, [32; 2], Wanted::ALL)
 }
 
 /// Each combination of the paper's modules loads from a file with exactly the tensors that PyTorch
@@ -345,7 +345,7 @@ fn every_value_of_the_configuration_has_a_range() {
     // Also where no file brings it.
     let mut config = ModelConfig::parse(&whole).expect("a configuration");
     config.reduction = 0;
-    let error = Network::new(Weights::random(config, 1), [32; 2], Thresholds::ALL);
+    let error = Network::new(Weights::random(config, 1), [32; 2], Wanted::ALL);
     let error = error.expect_err("a range");
     assert!(error.to_string().contains("reduction: expected 1 to 64, got 0"), "{error}");
 }
@@ -356,7 +356,7 @@ fn every_value_of_the_configuration_has_a_range() {
 fn a_network_that_no_device_need_hold_is_refused_before_it_runs() {
     let mut config = parsed(&config(FULL));
     let at = |config: &ModelConfig| {
-        Network::new(Weights::random(config.clone(), 1), [1440; 2], Thresholds::ALL)
+        Network::new(Weights::random(config.clone(), 1), [1440; 2], Wanted::ALL)
     };
     // The paper's network at the largest input: 64 such maps are 126.6 MiB.
     at(&config).expect("a network");
@@ -471,7 +471,7 @@ fn a_file_that_is_written_to_after_it_was_opened_is_refused() {
     let path = folder.path().join("w.safetensors");
     std::fs::write(&path, file(&config(FULL), &tensors(&config(FULL)))).expect("written");
     let weights = Weights::open(&path).expect("the weights");
-    let network = || Network::new(weights.clone(), [32; 2], Thresholds::ALL);
+    let network = || Network::new(weights.clone(), [32; 2], Wanted::ALL);
     network().expect("a network");
     let later = std::time::SystemTime::now() + std::time::Duration::from_secs(1);
     let written = std::fs::File::options().write(true).open(&path).expect("the file");

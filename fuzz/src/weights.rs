@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use smr_gpu::model::{Network, Thresholds, Weights};
+use smr_gpu::model::{Network, Wanted, Weights};
 
 /// Reads the bytes and builds their network.
 pub fn run(data: &[u8]) {
@@ -10,7 +10,7 @@ pub fn run(data: &[u8]) {
     let size = weights.config().paper_size();
     assert!(size.is_multiple_of(32) && size > 0, "{size} pixels for the paper's gel");
     // These files hold no whole network: it tells which tensor is missing.
-    if let Err(error) = Network::new(weights, [32; 2], Thresholds::ALL) {
+    if let Err(error) = Network::new(weights, [32; 2], Wanted::ALL) {
         assert!(!error.to_string().is_empty());
     }
 }

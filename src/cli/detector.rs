@@ -68,7 +68,8 @@ pub(super) struct DetectorArgs {
 
     /// What may be left out where a picture does not need it, separated by commas: `contact`, the
     /// network where nothing touches the gel; `regions`, the gel round what touches it;
-    /// `proposals`, places that are hardly a snap [default: contact,regions].
+    /// `proposals`, places that are hardly a snap; `scales`, the deepest of the network's three scales
+    /// [default: contact,regions].
     #[arg(long, value_name = "WHAT,…", value_delimiter = ',')]
     leave_out: Vec<Saving>,
 
@@ -91,6 +92,7 @@ enum Saving {
     Contact,
     Regions,
     Proposals,
+    Scales,
 }
 
 /// Longest time limit: a day, which every clock and driver counts.
@@ -167,6 +169,7 @@ impl DetectorArgs {
                 contact: has(Saving::Contact),
                 regions: has(Saving::Regions),
                 proposals: has(Saving::Proposals),
+                scales: has(Saving::Scales),
                 ..Scene::FULL
             },
         }

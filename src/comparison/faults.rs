@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::{How, Outcome, Values, compare};
 use crate::graph::TensorId;
-use crate::model::{Network, Thresholds, Weights};
+use crate::model::{Network, Wanted, Weights};
 use crate::ops::Crop;
 use crate::tensor::{Tensor, Value};
 
@@ -19,8 +19,8 @@ fn bytes() -> Vec<u8> {
 fn network(bytes: &[u8], iou: f32) -> Network {
     let weights = Weights::from_bytes(Path::new("weights"), bytes).expect("weights");
     // Every box counts, so that each stage has something to lose.
-    let thresholds = Thresholds { iou, ..Thresholds::ALL };
-    Network::new(weights, [SIZE; 2], thresholds).expect("a network")
+    let wanted = Wanted { iou, ..Wanted::ALL };
+    Network::new(weights, [SIZE; 2], wanted).expect("a network")
 }
 
 /// A run of the reference over a picture, as a device's.

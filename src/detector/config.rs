@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::gpu::{AdapterChoice, Faults, GpuOptions};
 use crate::lower::Choice;
-use crate::model::{ModelConfig, Thresholds};
+use crate::model::{ModelConfig, Wanted};
 use crate::precision::Precision;
 use crate::sensor::Sensor;
 
@@ -18,7 +18,7 @@ use crate::sensor::Sensor;
 use crate::detector::{Detections, GpuDetector};
 
 /// Most detections a picture may have.
-const MAX_DETECTIONS: usize = Thresholds::ALL.max_detections;
+const MAX_DETECTIONS: usize = Wanted::ALL.max_detections;
 
 /// What runs the network.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
@@ -303,7 +303,7 @@ impl Config {
         self
     }
 
-    pub(super) fn thresholds(&self, model: &ModelConfig) -> Result<Thresholds> {
+    pub(super) fn wanted(&self, model: &ModelConfig) -> Result<Wanted> {
         for (name, value) in [("score", self.score), ("iou", self.iou)] {
             // A NaN is in no range.
             if !(0.0..=1.0).contains(&value) {
@@ -326,12 +326,12 @@ impl Config {
         if self.classes.is_empty() {
             class_mask = u32::MAX;
         }
-        Ok(Thresholds {
+        Ok(Wanted {
             score: self.scene.least_score(self.score),
             iou: self.iou,
             max_detections: self.max_detections,
             class_mask,
-            most_proposals: Thresholds::ALL.most_proposals,
+            ..Wanted::ALL
         })
     }
 }

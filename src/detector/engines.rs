@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 use crate::gpu::{AdapterChoice, Gpu, GpuOptions};
 use crate::lock::lock;
 use crate::lower::Choice;
-use crate::model::{ModelConfig, Network, Thresholds, Weights};
+use crate::model::{ModelConfig, Network, Wanted, Weights};
 use crate::precision::Precision;
 
 /// Sizes that are kept ready, parts of pictures among them; of one more, the one that was not used for
@@ -29,13 +29,15 @@ pub(super) struct Kind {
     pub batch: usize,
     /// Proposals that reach the last part at most.
     pub proposals: usize,
+    /// Whether it looks at the deepest scale.
+    pub deepest: bool,
 }
 
 /// A device, and an engine on it for each size.
 pub(super) struct Engines {
     config: Config,
     weights: Weights,
-    thresholds: Thresholds,
+    wanted: Wanted,
     /// The memory of what runs on a GPU; `None` for the CPU.
     pool: Option<Arc<Pool>>,
     /// What runs the network, for people.
@@ -60,7 +62,7 @@ impl Engines {
                 Weights::from_shared(name, Arc::new(bytes.clone()))?
             }
         };
-        let thresholds = config.thresholds(weights.config())?;
+        let wanted = config.wanted(weights.config())?;
         let gpu = match gpu {
             Some(gpu) => Some(gpu),
             None => open_device(config).await?,
@@ -80,7 +82,7 @@ impl Engines {
         Ok(Self {
             config: config.clone(),
             weights,
-            thresholds,
+            wanted,
             pool: gpu.map(|gpu| Arc::new(Pool::new(gpu, config.in_flight))),
             adapter,
             choice,
@@ -101,7 +103,7 @@ impl Engines {
     /// # Errors
     /// As [`Network::new`].
     pub fn check(&self) -> Result<()> {
-        Network::new(self.weights.clone(), [32; 2], self.thresholds).map(|_| ())
+        Network::new(self.weights.clone(), [32; 2], self.wanted).map(|_| ())
     }
 
     /// How maps and weights are stored: as the configuration says, but on the CPU.
@@ -125,7 +127,9 @@ impl Engines {
 
     /// What a whole picture alone needs whose input has `size`, height and width.
     pub fn whole(&self, size: [usize; 2], precision: Precision) -> Kind {
-        Kind { size, precision, batch: 1, proposals: self.config.scene.proposals(size, false) }
+        let scene = &self.config.scene;
+        let (proposals, deepest) = (scene.proposals(size, false), !scene.scales);
+        Kind { size, precision, batch: 1, proposals, deepest }
     }
 
     /// An engine; built first if no picture asked for it lately. Building blocks this thread.
@@ -133,11 +137,14 @@ impl Engines {
     /// # Errors
     /// As [`Engine::new`].
     pub fn engine(&self, kind: Kind) -> Result<Arc<Engine>> {
+        // What cannot do without it has one engine for both.
+        let deepest = kind.deepest || !self.model().variant.leaves_deepest();
+        let kind = Kind { deepest, ..kind };
         self.ready.get_or_build(kind, &self.building, || {
             let like = self.ready.last();
-            let Kind { size, precision, batch, proposals } = kind;
-            let thresholds = Thresholds { most_proposals: proposals, ..self.thresholds };
-            let network = Network::new(self.weights.clone(), size, thresholds)?;
+            let Kind { size, precision, batch, proposals, deepest } = kind;
+            let wanted = Wanted { most_proposals: proposals, deepest, ..self.wanted };
+            let network = Network::new(self.weights.clone(), size, wanted)?;
             let on = self.pool.as_ref().map(|pool| On { pool, precision, batch });
             let engine = Engine::new(&self.config, network, on, &self.choice, like.as_deref());
             pollster::block_on(engine)

@@ -64,6 +64,8 @@ pub(super) struct Input {
 pub(super) struct Answer {
     pub found: Vec<Found>,
     pub proposals: u32,
+    /// Whether the network looked at its deepest scale too.
+    pub deepest: bool,
 }
 
 impl Input {
@@ -130,9 +132,10 @@ impl Input {
         values: &Values,
         stages: Vec<StageTime>,
     ) -> Result<Detections> {
-        let Answer { found, proposals } = self.answer(network, values, &self.whole(), 0)?;
+        let Answer { found, proposals, deepest } =
+            self.answer(network, values, &self.whole(), 0)?;
         let found = found.into_iter().map(|found| found.detection).collect();
-        Ok(Detections { proposals, stages, ..self.report(found) })
+        Ok(Detections { proposals, deepest, stages, ..self.report(found) })
     }
 
     /// These detections of the picture, and that nothing was left out.
@@ -146,6 +149,7 @@ impl Input {
             precision: Precision::F32,
             contact: None,
             regions: None,
+            deepest: true,
             reused: false,
             proposals: 0,
             stages: Vec::new(),
@@ -164,7 +168,7 @@ impl Input {
         check_finite(network, values)?;
         let found = self.collect(network, values, window, part)?;
         let proposals = count_of(network, values, network.proposal_count)?;
-        Ok(Answer { found, proposals })
+        Ok(Answer { found, proposals, deepest: network.deepest })
     }
 
     fn collect(

@@ -17,6 +17,8 @@ pub(super) struct Sight<'a> {
     windows: Vec<Window>,
     /// Whether these are parts, and not all of it.
     in_parts: bool,
+    /// Whether the deepest scale is looked at.
+    deepest: bool,
     /// Time that it took to look for contact.
     stages: Vec<StageTime>,
 }
@@ -24,10 +26,10 @@ pub(super) struct Sight<'a> {
 impl<'a> Sight<'a> {
     /// What `scene` leaves of a picture in which a look for contact gave `look`.
     pub fn new(input: &'a Input, look: Option<contact::Look>, scene: &Scene) -> Self {
-        let whole = vec![input.whole()];
-        let Some(contact::Look { map, stages, .. }) = look else {
-            return Self { input, contact: None, windows: whole, in_parts: false, stages: vec![] };
-        };
+        let (windows, deepest) = (vec![input.whole()], !scene.scales);
+        let whole =
+            Self { input, contact: None, windows, in_parts: false, deepest, stages: Vec::new() };
+        let Some(contact::Look { map, stages, .. }) = look else { return whole };
         let touched = !map.is_empty();
         let parts = match touched && scene.regions {
             true => regions::windows(&map, &input.geometry, scene),
@@ -35,25 +37,26 @@ impl<'a> Sight<'a> {
         };
         let in_parts = parts.is_some();
         let windows = match touched || !scene.contact {
-            true => parts.unwrap_or(whole),
+            true => parts.unwrap_or(whole.windows),
             false => Vec::new(),
         };
-        Self { input, contact: Some(touched), windows, in_parts, stages }
+        Self { contact: Some(touched), windows, in_parts, stages, ..whole }
     }
 
-    /// The whole of the picture, after its parts took `stages`.
+    /// All of the picture, after a first look took `stages`.
     fn whole(&self, stages: &[StageTime]) -> Self {
         let windows = vec![self.input.whole()];
-        Self { windows, in_parts: false, stages: stages.to_vec(), ..*self }
+        Self { windows, in_parts: false, deepest: true, stages: stages.to_vec(), ..*self }
     }
 
     /// What was found in a picture whose windows gave `answers`.
     fn detections(&self, answers: Vec<Seen>, precision: Precision, config: &Config) -> Detections {
         let mut stages = self.stages.clone();
-        let (mut found, mut proposals) = (Vec::new(), 0);
+        let (mut found, mut proposals, mut deepest) = (Vec::new(), 0, !answers.is_empty());
         for Seen { answer, times } in answers {
             found.extend(answer.found);
             proposals += answer.proposals;
+            deepest &= answer.deepest;
             for time in times {
                 match stages.iter_mut().find(|sum| sum.stage == time.stage) {
                     Some(sum) => sum.time += time.time,
@@ -67,6 +70,7 @@ impl<'a> Sight<'a> {
             contact: self.contact,
             // Where nothing touches it is no part.
             regions: (self.in_parts || self.windows.is_empty()).then(rects),
+            deepest,
             proposals,
             precision,
             stages,
@@ -90,13 +94,15 @@ struct Job<'a> {
     part: usize,
     /// Of how many proposals at most the network's last part says what they are.
     proposals: usize,
+    /// Whether the deepest scale is looked at.
+    deepest: bool,
 }
 
 impl Job<'_> {
     /// What runs it, with others like it.
     fn kind(&self, precision: Precision, batch: usize) -> Kind {
         let size = [self.window.height, self.window.width];
-        Kind { size, precision, batch, proposals: self.proposals }
+        Kind { size, precision, batch, proposals: self.proposals, deepest: self.deepest }
     }
 }
 
@@ -134,7 +140,7 @@ async fn look_as(
     let (mut places, mut wholes) = (Vec::new(), Vec::new());
     for (at, (found, sight)) in found.iter().zip(sights).enumerate() {
         if let Ok(found) = found.as_ref()
-            && sight.in_parts
+            && (sight.in_parts || !found.deepest)
             && leaves_doubt(found, config)
         {
             places.push(at);
@@ -149,7 +155,7 @@ async fn look_as(
     found
 }
 
-/// Whether a box may pass in the whole that does not in a part.
+/// Whether a box may pass where all is looked at that does not so far.
 fn leaves_doubt(found: &Detections, config: &Config) -> bool {
     found.detections.iter().any(|found| config.scene.is_doubtful(found.score, config.score))
 }
@@ -163,10 +169,10 @@ async fn see(
     deadline: Deadline,
 ) -> Vec<Result<Detections>> {
     let mut jobs = Vec::new();
-    for Sight { input, windows, in_parts, .. } in sights {
+    for Sight { input, windows, in_parts, deepest, .. } in sights {
         jobs.extend(windows.iter().copied().enumerate().map(|(part, window)| {
             let proposals = config.scene.proposals([window.height, window.width], *in_parts);
-            Job { input, window, part, proposals }
+            Job { input, window, part, proposals, deepest: *deepest }
         }));
     }
     let mut seen = run_all(engines, precision, &jobs, deadline).await.into_iter();
@@ -186,7 +192,10 @@ async fn run_all(
     jobs: &[Job<'_>],
     deadline: Deadline,
 ) -> Vec<Result<Seen>> {
-    let like = |at: &usize| (jobs[*at].window.height, jobs[*at].window.width, jobs[*at].proposals);
+    let like = |at: &usize| {
+        let Job { window, proposals, deepest, .. } = &jobs[*at];
+        (window.height, window.width, *proposals, *deepest)
+    };
     let mut order: Vec<usize> = (0..jobs.len()).collect();
     order.sort_by_key(like);
     let mut seen: Vec<Option<Result<Seen>>> = jobs.iter().map(|_| None).collect();

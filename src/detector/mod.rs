@@ -131,9 +131,13 @@ impl GpuDetector {
         let (engines, rebuilding) = (RwLock::new(Arc::new(engines)), Mutex::new(()));
         let reference = Mutex::default();
         let detector = Self { config, model, engines, reference, rebuilding, foreign };
-        match detector.usual_frame() {
-            Some(frame) => detector.prepare(frame)?,
-            None => detector.engines().check()?,
+        let usual = detector.usual_frame();
+        if let Some(frame) = usual {
+            detector.prepare(frame)?;
+        }
+        // What no engine has looked at yet is refused now, and not at some later picture.
+        if usual.is_none() || detector.config.scene.scales {
+            detector.engines().check()?;
         }
         Ok(detector)
     }
@@ -623,6 +627,7 @@ mod tests {
             precision: Precision::F16,
             contact: Some(true),
             regions: Some(vec![Rect { x: 1, y: 2, width: 3, height: 4 }]),
+            deepest: true,
             reused: false,
             proposals: 7,
             stages,
@@ -636,7 +641,8 @@ mod tests {
                 "center_std_mm": [0.125, 0.0625], "yaw_deg": null, "yaw_std_deg": null, "whole": 0.5
             }],
             "width": 640, "height": 480, "mm_per_pixel": 0.0625, "precision": "f16", "proposals": 7,
-            "contact": true, "regions": [{"x": 1, "y": 2, "width": 3, "height": 4}], "reused": false,
+            "contact": true, "regions": [{"x": 1, "y": 2, "width": 3, "height": 4}],
+            "deepest": true, "reused": false,
             "stages": [{"stage": "input", "ms": 1.5}],
             "wall_ms": 20.0
         });

@@ -2,14 +2,14 @@
 
 use crate::detector::Detections;
 use crate::error::{Error, Result};
-use crate::model::Thresholds;
+use crate::model::Wanted;
 
 /// Height and width of the paper's input.
 const PAPER: [usize; 2] = [320; 2];
 /// Proposals that the RoI head's kernels take together.
 const TOGETHER: usize = 16;
 /// All proposals that there are.
-const MOST_PROPOSALS: usize = Thresholds::ALL.most_proposals;
+const MOST_PROPOSALS: usize = Wanted::ALL.most_proposals;
 
 /// What is left out where a picture does not need it, each saving for itself. A picture gets the same
 /// answer however busy the machine is: only what it shows decides.
@@ -31,14 +31,17 @@ pub struct Scene {
     pub regions: bool,
     /// Of the whole picture, too, only the best `most_proposals` reach the network's last part.
     pub proposals: bool,
+    /// The deepest of the three scales, conv5_x, of which RW-Net takes least, is neither computed nor added,
+    /// but in a look at the whole after one that left `doubt`.
+    pub scales: bool,
     /// Gel round a contact that the network sees, in millimetres; from 0 to 60. What counts as contact reaches
     /// up to 2 mm past what touches.
     pub margin_mm: f32,
     /// Share of the network's input above which all of it is computed; from 0 to 1.
     pub most_of_input: f32,
-    /// How far on the way from the asked-for [`Config::score`](crate::Config::score) to 0 a box that parts show is
-    /// doubtful: in the whole, of which the network's attention sees more, it may pass. With 0 no box is; from
-    /// 0 to 1.
+    /// How far on the way from the asked-for [`Config::score`](crate::Config::score) to 0 a box is doubtful that
+    /// parts show, or two scales: in the whole, of which the network's attention sees more, it may pass. With 0
+    /// no box is; from 0 to 1.
     pub doubt: f32,
     /// Proposals of 320 × 320 pixels of the network's input that reach its last part, those of the highest
     /// objectness; of more or less the area's share, in whole sixteens. From 1 to 100.
@@ -51,13 +54,15 @@ impl Scene {
         contact: false,
         regions: false,
         proposals: false,
+        scales: false,
         margin_mm: 1.0,
         most_of_input: 0.8,
         doubt: 0.6,
         most_proposals: 32,
     };
     /// All that can be left out is.
-    pub const SAVING: Self = Self { contact: true, regions: true, proposals: true, ..Self::FULL };
+    pub const SAVING: Self =
+        Self { contact: true, regions: true, proposals: true, scales: true, ..Self::FULL };
 
     /// What was left out of a picture in which a detector with this scene found `found`, and why, a line each;
     /// nothing where all was looked at.
@@ -83,6 +88,9 @@ impl Scene {
             let most = self.most_proposals;
             left.push(format!("proposals: none but the best, {most} in 320 x 320 pixels"));
         }
+        if self.scales && !found.deepest {
+            left.push("the deepest scale: it hardly weighs".to_owned());
+        }
         left
     }
 
@@ -91,13 +99,13 @@ impl Scene {
         self.contact || self.regions
     }
 
-    /// What a box's score must be above where detections must be above `score`: with parts, all that may
-    /// leave doubt.
+    /// What a box's score must be above where detections must be above `score`: where less than all is looked
+    /// at, all that may leave doubt.
     pub(super) fn least_score(&self, score: f32) -> f32 {
-        if self.regions { score * (1.0 - self.doubt) } else { score }
+        if self.regions || self.scales { score * (1.0 - self.doubt) } else { score }
     }
 
-    /// Whether a box of this score in a part leaves doubt where detections must be above `asked`.
+    /// Whether a box of this score in what was not looked at wholly leaves doubt where detections must be above `asked`.
     pub(super) fn is_doubtful(&self, score: f32, asked: f32) -> bool {
         score > self.least_score(asked) && score <= asked
     }

@@ -10,19 +10,21 @@ use crate::model::weights::Weights;
 use crate::ops::{Conv2d, MaxPool2d};
 
 /// What the backbone gives, each map after its stage's attention.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) enum Features {
-    /// For MSFF-Net: conv3_x, conv4_x and conv5_x at strides 8, 16, 32.
-    Scales([TensorId; 3]),
+    /// For MSFF-Net: conv3_x, conv4_x and, if wanted, conv5_x at strides 8, 16, 32.
+    Scales(Vec<TensorId>),
     /// Without it: conv4_x alone. Nothing reads conv5_x then, and no weight file has it.
     Conv4(TensorId),
 }
 
-/// Appends the backbone to `input` `[3, H, W]`, as far as the variant needs it.
+/// Appends the backbone to `input` `[3, H, W]`, as far as the variant needs it, and without conv5_x unless
+/// the `deepest` scale is wanted.
 pub(super) fn backbone(
     graph: &mut Graph,
     weights: &mut Weights,
     input: TensorId,
+    deepest: bool,
 ) -> Result<Features> {
     let config = weights.config().clone();
     let Variant { safe: attention, msff, .. } = config.variant;
@@ -38,7 +40,8 @@ pub(super) fn backbone(
     let mut in_channels = config.stem;
     let mut features = Vec::new();
     let stages = config.channels.into_iter().zip(config.blocks);
-    for (index, (channels, blocks)) in stages.take(if msff { 4 } else { 3 }).enumerate() {
+    for (index, (channels, blocks)) in stages.take(if msff && deepest { 4 } else { 3 }).enumerate()
+    {
         let name = format!("backbone.layer{}", index + 1);
         graph.begin_stage(&name);
         for block in 0..blocks {
@@ -53,9 +56,9 @@ pub(super) fn backbone(
         }
         features.push(x);
     }
-    Ok(match features[..] {
-        [_, conv3, conv4, conv5] => Features::Scales([conv3, conv4, conv5]),
-        _ => Features::Conv4(x),
+    Ok(match msff {
+        true => Features::Scales(features.split_off(1)),
+        false => Features::Conv4(x),
     })
 }
 

@@ -106,6 +106,13 @@ pub struct Variant {
     pub rw: bool,
 }
 
+impl Variant {
+    /// Whether the network can do without the deepest scale, since RW-Net weighs the others alone.
+    pub fn leaves_deepest(self) -> bool {
+        self.msff && self.rw
+    }
+}
+
 impl ModelConfig {
     /// Parses and checks the JSON text.
     ///

@@ -1,4 +1,5 @@
-//! MSFF-Net and RW-Net: three scales brought to one size and summed by learned weights.
+//! MSFF-Net and RW-Net: three scales, or without the deepest two, brought to one size and summed by learned
+//! weights.
 
 use crate::error::{Error, Result};
 use crate::graph::{Graph, TensorId};
@@ -6,19 +7,21 @@ use crate::model::cbam::cbam;
 use crate::model::layers::{conv_bn, convolve};
 use crate::model::weights::{Folded, Weights};
 use crate::ops::{Conv2d, GlobalAvgPool, Linear, Softmax, UpsampleBilinear, WeightedSum};
-use crate::shape::TensorSpec;
+use crate::shape::{Shape, TensorSpec};
 use crate::tensor::Tensor;
 
 /// The scales' dilations. The paper gives the two deeper scales a 5×5 field, read as a 3×3 kernel with
 /// dilation 2.
-const DILATIONS: [usize; 3] = [1, 2, 2];
+const DILATIONS: [usize; SCALES] = [1, 2, 2];
+/// How many scales the weights know.
+const SCALES: usize = 3;
 
-/// Appends the fusion of `features`; returns the fused map `[F, H/8, W/8]` and, with RW-Net, the
-/// weights of the scales `[3]`.
+/// Appends the fusion of `features`, a map a scale; returns the fused map `[F, H/8, W/8]` and, with RW-Net,
+/// the weights of the scales.
 pub(super) fn fusion(
     graph: &mut Graph,
     weights: &mut Weights,
-    features: [TensorId; 3],
+    features: Vec<TensorId>,
 ) -> Result<(TensorId, Option<TensorId>)> {
     graph.begin_stage("fusion");
     let size = graph.spec(features[0]).shape.0.clone();
@@ -42,8 +45,9 @@ pub(super) fn fusion(
     match weights.config().variant.rw {
         true => {
             let scales = scale_weights(graph, weights, &maps)?;
-            let inputs = [scales, maps[0], maps[1], maps[2]];
-            Ok((graph.apply1("fusion.fused", WeightedSum { maps: 3 }, &inputs)?, Some(scales)))
+            let inputs = [&[scales], &maps[..]].concat();
+            let sum = WeightedSum { maps: maps.len() };
+            Ok((graph.apply1("fusion.fused", sum, &inputs)?, Some(scales)))
         }
         false => Ok((reduce_concatenation(graph, weights, &maps)?, None)),
     }
@@ -53,22 +57,25 @@ pub(super) fn fusion(
 ///
 /// Convolution and average are both linear, as is the MLP's first layer, and the paper puts nothing
 /// between them: so the maps are averaged first, and the 1×1 convolutions are folded into that
-/// layer when loading, in f64. It then reads the three averages side by side.
+/// layer when loading, in f64. It then reads the averages side by side, and without the deepest scale it
+/// and the layer behind it are that much smaller.
 fn scale_weights(graph: &mut Graph, weights: &mut Weights, maps: &[TensorId]) -> Result<TensorId> {
     graph.begin_stage("reweight");
     let (reduced, channels) = (weights.config().reweight, weights.config().fused);
-    let weight = weights.take("reweight.fc1.weight", [reduced, 3 * reduced])?;
+    let scales = maps.len();
+    let weight = weights.take("reweight.fc1.weight", [reduced, SCALES * reduced])?;
     let bias = weights.take("reweight.fc1.bias", [reduced])?;
-    let fc2 = weights.take_biased("reweight.fc2", [3, reduced])?;
-    let mut sums = vec![0f64; reduced * 3 * channels];
+    let fc2_weight = first_rows(&weights.take("reweight.fc2.weight", [SCALES, reduced])?, scales);
+    let fc2_bias = first_rows(&weights.take("reweight.fc2.bias", [SCALES])?, scales);
+    let mut sums = vec![0f64; reduced * scales * channels];
     let mut bias: Vec<f64> = bias.data().iter().map(|b| f64::from(*b)).collect();
-    for scale in 0..3 {
+    for scale in 0..scales {
         let name = format!("reweight.reduce{}", scale + 1);
         let reduce = weights.take(&format!("{name}.weight"), [reduced, channels, 1, 1])?;
         let reduce_bias = weights.take(&format!("{name}.bias"), [reduced])?;
         for hidden in 0..reduced {
-            let row = &weight.data()[hidden * 3 * reduced + scale * reduced..][..reduced];
-            let to = &mut sums[hidden * 3 * channels + scale * channels..][..channels];
+            let row = &weight.data()[(hidden * SCALES + scale) * reduced..][..reduced];
+            let to = &mut sums[(hidden * scales + scale) * channels..][..channels];
             for (k, w) in row.iter().enumerate() {
                 let w = f64::from(*w);
                 bias[hidden] += w * f64::from(reduce_bias.data()[k]);
@@ -78,21 +85,30 @@ fn scale_weights(graph: &mut Graph, weights: &mut Weights, maps: &[TensorId]) ->
             }
         }
     }
-    let fc1_weight = Tensor::from_fn([reduced, 3 * channels], |i| sums[i] as f32);
+    let fc1_weight = Tensor::from_fn([reduced, scales * channels], |i| sums[i] as f32);
     let fc1_bias = Tensor::from_fn([reduced], |i| bias[i] as f32);
     weights.check_finite("reweight.fc1.weight", &fc1_weight)?;
     weights.check_finite("reweight.fc1.bias", &fc1_bias)?;
-    let mut x = graph.apply1("reweight.pool", GlobalAvgPool { maps: 3 }, maps)?;
+    let mut x = graph.apply1("reweight.pool", GlobalAvgPool { maps: scales }, maps)?;
+    // Networks share weights by name, and these differ from those of all scales.
+    let only = if scales < SCALES { ".without_deepest" } else { "" };
     let layers = [
         ("reweight.fc1", Folded { weight: fc1_weight.into(), bias: fc1_bias.into() }, true),
-        ("reweight.fc2", fc2, false),
+        ("reweight.fc2", Folded { weight: fc2_weight.into(), bias: fc2_bias.into() }, false),
     ];
     for (name, Folded { weight, bias }, relu) in layers {
-        let weight = graph.constant(format!("{name}.weight"), weight);
-        let bias = graph.constant(format!("{name}.bias"), bias);
+        let weight = graph.constant(format!("{name}.weight{only}"), weight);
+        let bias = graph.constant(format!("{name}.bias{only}"), bias);
         x = graph.apply1(name, Linear { relu, count: false }, &[x, weight, bias])?;
     }
     graph.apply1("reweight.weights", Softmax::default(), &[x])
+}
+
+/// The first `rows` of a matrix, or of a vector.
+fn first_rows(tensor: &Tensor, rows: usize) -> Tensor {
+    let mut dims = tensor.dims().to_vec();
+    dims[0] = rows;
+    Tensor::from_fn(Shape(dims), |i| tensor.data()[i])
 }
 
 /// Without RW-Net: a 1×1 convolution of the concatenated scales to F channels, as the sum of one

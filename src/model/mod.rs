@@ -11,7 +11,7 @@ mod weights;
 
 pub(crate) use config::PAPER_MM;
 pub use config::{ModelConfig, Variant};
-pub use roi_head::Thresholds;
+pub use roi_head::Wanted;
 pub use weights::{MAX_FILE, Weights};
 
 use backbone::Features;
@@ -27,6 +27,10 @@ use crate::shape::{Extent, TensorSpec};
 const MOST_BYTES: u64 = 128 << 20;
 /// Pixels of the largest picture: as RGBA8 they fill that.
 pub const MAX_PIXELS: usize = MOST_BYTES as usize / 4;
+
+/// What of a weight file serves the deepest scale alone.
+const DEEPEST: [&str; 4] =
+    ["backbone.layer4.", "backbone.cbam5.", "fusion.branch3.", "reweight.reduce3."];
 
 /// The whole network as a graph, with the ids of what goes in and comes out.
 pub struct Network {
@@ -61,6 +65,8 @@ pub struct Network {
     pub proposals: Choice,
     /// The detections, from a box for each proposal and class.
     pub detections: Choice,
+    /// Whether it has all scales that its weights know.
+    pub deepest: bool,
     /// Tensors by which a value that is not finite is noticed, in the order in which they come about.
     pub witnesses: Vec<Witness>,
 }
@@ -120,7 +126,7 @@ impl Network {
     /// misshapen or left over; [`Error::Param`] for a size that is not [`ModelConfig::INPUT_SIZES`];
     /// [`Error::Capacity`] for a tensor that no device need hold, by WebGPU's limits, so that no weight file
     /// asks the CPU for gigabytes.
-    pub fn new(mut weights: Weights, size: [usize; 2], thresholds: Thresholds) -> Result<Self> {
+    pub fn new(mut weights: Weights, size: [usize; 2], wanted: Wanted) -> Result<Self> {
         let config = weights.config().clone();
         // Untrained weights come with a configuration that nothing has looked at yet.
         config.check().map_err(|message| Error::Weights { file: "weights".into(), message })?;
@@ -136,12 +142,16 @@ impl Network {
         let resize =
             CropResize { width: size[1], height: size[0], mean: config.mean, std: config.std };
         let input = graph.apply1("input", resize, &[picture, crop])?;
-        let features = backbone::backbone(&mut graph, &mut weights, input)?;
+        let deepest = wanted.deepest || !config.variant.leaves_deepest();
+        if !deepest {
+            DEEPEST.iter().for_each(|part| weights.leave(part));
+        }
+        let features = backbone::backbone(&mut graph, &mut weights, input, deepest)?;
         let (fused, scales) = match features {
             Features::Scales(scales) => fusion::fusion(&mut graph, &mut weights, scales)?,
             Features::Conv4(map) => (map, None),
         };
-        let settings = (size, thresholds);
+        let settings = (size, wanted);
         let proposals = rpn::rpn(&mut graph, &mut weights, settings, fused)?;
         let head = roi_head::roi_head(&mut graph, &mut weights, settings, fused, proposals)?;
         weights.finish()?;
@@ -191,6 +201,7 @@ impl Network {
             anchors: proposals.anchors,
             proposals: proposals.choice,
             detections: head.choice,
+            deepest,
             witnesses,
         })
     }

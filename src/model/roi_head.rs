@@ -22,9 +22,9 @@ const VOTE_IOU: f32 = 0.7;
 /// Smallest side of a detection in pixels of the network's input, as in torchvision.
 const MIN_SIZE: f32 = 1e-2;
 
-/// What the user may choose about the last step.
+/// What is wanted of a network, whatever its weights.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Thresholds {
+pub struct Wanted {
     /// A detection's score must be above this.
     pub score: f32,
     /// Intersection over union above which the lower of two detections of a class goes.
@@ -35,16 +35,21 @@ pub struct Thresholds {
     pub class_mask: u32,
     /// At most so many proposals, the best, reach the RoI head.
     pub most_proposals: usize,
+    /// Whether the deepest of the scales that RW-Net weighs is computed. Without it nothing of conv5_x is:
+    /// its share of RW-Net's input is zero, and the softmax is over the other two. Says nothing without
+    /// MSFF-Net or RW-Net.
+    pub deepest: bool,
 }
 
-impl Thresholds {
-    /// Every detection above any score at all, as far as there is room; twins go.
+impl Wanted {
+    /// Every detection above any score at all, as far as there is room, from every scale; twins go.
     pub const ALL: Self = Self {
         score: 0.0,
         iou: 0.5,
         max_detections: 100,
         class_mask: u32::MAX,
         most_proposals: 100,
+        deepest: true,
     };
 }
 
@@ -71,7 +76,7 @@ pub(super) struct Head {
 pub(super) fn roi_head(
     graph: &mut Graph,
     weights: &mut Weights,
-    ([height, width], thresholds): ([usize; 2], Thresholds),
+    ([height, width], wanted): ([usize; 2], Wanted),
     fused: TensorId,
     proposals: Proposals,
 ) -> Result<Head> {
@@ -102,15 +107,14 @@ pub(super) fn roi_head(
     let probabilities = graph.apply1("roi_head.probabilities", softmax, &[logits, count])?;
 
     graph.begin_stage("detections");
-    let decode =
-        DecodeDetections { width, height, weights: CODER, class_mask: thresholds.class_mask };
+    let decode = DecodeDetections { width, height, weights: CODER, class_mask: wanted.class_mask };
     let inputs = [proposals.boxes, deltas, probabilities, count];
     let candidates = graph.apply("roi_head.decode", decode, &inputs)?;
     let [boxes, scores, labels, total] = [0, 1, 2, 3].map(|i| candidates[i]);
     let nms = Nms {
-        iou_threshold: thresholds.iou,
-        max_out: thresholds.max_detections,
-        min_score: thresholds.score,
+        iou_threshold: wanted.iou,
+        max_out: wanted.max_detections,
+        min_score: wanted.score,
         min_size: MIN_SIZE,
         sorted: false,
         classes: true,

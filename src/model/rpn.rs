@@ -7,7 +7,7 @@ use crate::error::Result;
 use crate::graph::{Graph, TensorId};
 use crate::model::layers::conv;
 use crate::model::weights::Weights;
-use crate::model::{Choice, Thresholds};
+use crate::model::{Choice, Wanted};
 use crate::ops::{Conv2d, DecodeProposals, GatherRows, Nms, TopK};
 
 /// Candidates that enter the non-maximum suppression for each proposal that may leave it: torchvision's 1000
@@ -35,7 +35,7 @@ pub(super) struct Proposals {
 pub(super) fn rpn(
     graph: &mut Graph,
     weights: &mut Weights,
-    ([height, width], thresholds): ([usize; 2], Thresholds),
+    ([height, width], wanted): ([usize; 2], Wanted),
     fused: TensorId,
 ) -> Result<Proposals> {
     graph.begin_stage("rpn");
@@ -47,14 +47,14 @@ pub(super) fn rpn(
     let deltas = conv(graph, weights, "rpn.bbox", head, [4 * a, channels, 1, 1], fused)?;
 
     graph.begin_stage("proposals");
-    let candidates = TopK { k: CANDIDATES * thresholds.most_proposals, count: false };
+    let candidates = TopK { k: CANDIDATES * wanted.most_proposals, count: false };
     let best = graph.apply("rpn.top_k", candidates, &[scores])?;
     let (logits, indices, count) = (best[0], best[1], best[2]);
     let decode = DecodeProposals { anchors, stride: config.stride, width, height };
     let decoded = graph.apply("rpn.decode", decode, &[deltas, logits, indices, count])?;
     let nms = Nms {
         iou_threshold: IOU,
-        max_out: thresholds.most_proposals,
+        max_out: wanted.most_proposals,
         min_size: MIN_SIZE,
         sorted: true,
         count: true,

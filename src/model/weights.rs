@@ -376,6 +376,13 @@ impl Weights {
         Ok(Folded { weight, bias: bias.into() })
     }
 
+    /// Passes over the tensors whose names begin so.
+    pub(super) fn leave(&mut self, prefix: &str) {
+        if let Source::File(left) = &mut self.tensors {
+            left.retain(|name, _| !name.starts_with(prefix));
+        }
+    }
+
     /// Refuses tensors that the network has no place for.
     ///
     /// # Errors

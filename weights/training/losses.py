@@ -133,13 +133,13 @@ def pose_losses(heads: Heads, rois: Rois, pixels_per_mm: float) -> dict[str, Ten
 WEIGHTS = {"yaw": 0.3, "centre": 0.03, "whole": 0.1}
 
 
-def detection_losses(model: SmrNet, images: Tensor, targets: list[dict], distiller=None, wanted: Tensor | None = None) -> tuple[dict[str, Tensor], Tensor]:
-    """The weighted losses of a batch, and the fused map; `wanted` is the teacher's, if it is at hand.
+def detection_losses(model: SmrNet, images: Tensor, targets: list[dict], distiller=None, wanted: Tensor | None = None, scales: int = 3) -> tuple[dict[str, Tensor], Tensor]:
+    """The weighted losses of a batch, and the fused map of so many scales; `wanted` is the teacher's, if it is at hand.
 
     The network in bfloat16 where the device gains by it, the losses in float32."""
     stages: dict = {}
     with autocast(images.device.type):
-        fused = model.features(images, stages)
+        fused = model.features(images, stages, scales)
         logits, deltas, anchors = model.rpn_heads(fused, stages)
     logits, deltas, anchors = logits.float(), deltas.float(), anchors.float()
     objectness, rpn_box = rpn_loss(logits, deltas, anchors, targets)

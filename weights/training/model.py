@@ -52,6 +52,11 @@ class Config:
         return 8 if self.variant.msff else 16
 
     @property
+    def leaves_deepest(self) -> bool:
+        """Whether the network can do without conv5_x: RW-Net weighs the scales that there are."""
+        return self.variant.msff and self.variant.rw
+
+    @property
     def width(self) -> int:
         """Channels of the map that the heads read: without the fusion that is conv4_x."""
         return self.fused if self.variant.msff else self.channels[2]
@@ -180,10 +185,10 @@ class Backbone(nn.Module):
             if isinstance(m, nn.Conv2d) and m.out_channels > 1:
                 nn.init.kaiming_normal_(m.weight, mode="fan_out", nonlinearity="relu")
 
-    def forward(self, x: Tensor, stages: dict) -> None:
-        """Puts backbone.conv1, .cbam1, .layer1, .cbam2, … into `stages`."""
+    def forward(self, x: Tensor, stages: dict, scales: int) -> None:
+        """Puts backbone.conv1, .cbam1, .layer1, .cbam2, … into `stages`; of conv3_x, conv4_x and conv5_x the first `scales`."""
         x = stages["backbone.conv1"] = F.relu(self.bn1(self.conv1(x)))
-        for i in range(1, 6):
+        for i in range(1, 3 + scales):
             if i > 1:
                 if not hasattr(self, f"layer{i - 1}"):
                     break
@@ -220,10 +225,10 @@ class Fusion(nn.Module):
         if not config.variant.rw:
             self.reduce = nn.Conv2d(3 * config.fused, config.fused, 1)
 
-    def forward(self, stages: dict) -> list[Tensor]:
+    def forward(self, stages: dict, scales: int) -> list[Tensor]:
         size = stages["backbone.cbam3"].shape[2:]
         maps = []
-        for i in (1, 2, 3):
+        for i in range(1, scales + 1):
             branch = getattr(self, f"branch{i}")
             maps.append(branch(stages[f"backbone.cbam{i + 2}"], size))
             stages[f"fusion.branch{i}"] = maps[-1]
@@ -231,7 +236,10 @@ class Fusion(nn.Module):
 
 
 class Reweight(nn.Module):
-    """RW-Net: one softmax weight a scale and picture."""
+    """RW-Net: one softmax weight a scale and picture.
+
+    Without the deepest scale its share of the concatenation is zero, and the softmax is over the others.
+    """
 
     def __init__(self, config: Config):
         super().__init__()
@@ -246,7 +254,9 @@ class Reweight(nn.Module):
             getattr(self, f"reduce{i}")(m.mean(dim=(2, 3), keepdim=True)).flatten(1)
             for i, m in enumerate(maps, start=1)
         ]
-        return self.fc2(F.relu(self.fc1(torch.cat(pooled, dim=1)))).softmax(dim=1)
+        pooled = torch.cat(pooled, dim=1)
+        x = F.relu(F.linear(pooled, self.fc1.weight[:, : pooled.shape[1]], self.fc1.bias))
+        return F.linear(x, self.fc2.weight[: len(maps)], self.fc2.bias[: len(maps)]).softmax(dim=1)
 
 
 class Rpn(nn.Module):
@@ -312,17 +322,17 @@ class SmrNet(nn.Module):
         self.rpn = Rpn(config.width, len(self.cells))
         self.roi_head = RoiHead(config)
 
-    def features(self, images: Tensor, stages: dict) -> Tensor:
-        """The fused map, [B, C, H/stride, W/stride], of normalised pictures [B, 3, H, W]."""
+    def features(self, images: Tensor, stages: dict, scales: int = 3) -> Tensor:
+        """The fused map, [B, C, H/stride, W/stride], of normalised pictures [B, 3, H, W], from F1, F2 and F3 or the first `scales` of them."""
         stages["input"] = images
-        self.backbone(images, stages)
+        self.backbone(images, stages, scales)
         if not self.config.variant.msff:
             fused = stages["backbone.cbam4"]
         else:
-            maps = self.fusion(stages)
+            maps = self.fusion(stages, scales)
             if self.config.variant.rw:
                 weights = stages["reweight.weights"] = self.reweight(maps)
-                fused = sum(weights[:, i, None, None, None] * maps[i] for i in range(3))
+                fused = sum(weights[:, i, None, None, None] * maps[i] for i in range(scales))
             else:
                 fused = self.fusion.reduce(torch.cat(maps, dim=1))
         stages["fusion.fused"] = fused
@@ -340,9 +350,9 @@ class SmrNet(nn.Module):
         return logits, deltas, bx.grid_anchors(cells, height, width, self.config.stride)
 
     @torch.no_grad()
-    def regions(self, images: Tensor, stages: dict) -> list[tuple[Tensor, Heads]]:
+    def regions(self, images: Tensor, stages: dict, scales: int = 3) -> list[tuple[Tensor, Heads]]:
         """Each normalised picture's proposals [P, 4] and what the head says of them."""
-        fused = self.features(images, stages)
+        fused = self.features(images, stages, scales)
         logits, deltas, anchors = self.rpn_heads(fused, stages)
         picked = [propose(l, d, anchors, images.shape[2:]) for l, d in zip(logits, deltas)]
         stages["proposals"], stages["proposal_scores"] = picked[0]
@@ -354,14 +364,14 @@ class SmrNet(nn.Module):
         return [(p, heads.rows(slice(*ends[i : i + 2]))) for i, p in enumerate(proposals)]
 
     @torch.no_grad()
-    def detect(self, images: Tensor, stages: dict | None = None, score: float = 0.05, nms: float = 0.5) -> list[dict]:
+    def detect(self, images: Tensor, stages: dict | None = None, score: float = 0.05, nms: float = 0.5, scales: int = 3) -> list[dict]:
         """Detections of each normalised picture: boxes [K, 4] in input pixels, scores [K], labels [K] and, with pose heads, `pose.decode`'s.
 
         `stages`, if given, receives every stage's tensor; then the batch must be one picture.
         """
         stages = {} if stages is None else stages
         size = images.shape[2:]
-        result = [classify(self.config, heads, p, size, score, nms) for p, heads in self.regions(images, stages)]
+        result = [classify(self.config, heads, p, size, score, nms) for p, heads in self.regions(images, stages, scales)]
         stages.update({f"detections.{name}": tensor for name, tensor in result[0].items()})
         return result
 

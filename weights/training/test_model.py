@@ -280,6 +280,23 @@ def weight_files() -> None:
         same(f"format 1, {name}", got, golden[name].double(), 2e-7 * golden[name].abs().max().item())
 
 
+@torch.no_grad()
+def without_the_deepest_scale() -> None:
+    model = random_model(Config(**NETWORKS["small"]), 5).double().eval()
+    picture = torch.randn(1, 3, 96, 64, dtype=torch.float64).contiguous(memory_format=torch.channels_last)
+    whole: dict[str, torch.Tensor] = {}
+    model.features(picture, whole)
+    maps = [whole[f"fusion.branch{i}"] for i in (1, 2)]
+    rw = model.reweight
+    pooled = [r(m).mean(dim=(2, 3)) for r, m in zip((rw.reduce1, rw.reduce2), maps)]
+    logits = rw.fc2(rw.fc1(torch.cat([*pooled, torch.zeros_like(pooled[0])], dim=1)).relu())
+    weights = logits[0, :2].exp() / logits[0, :2].exp().sum()
+    less: dict[str, torch.Tensor] = {}
+    same("without the deepest scale", model.features(picture, less, 2), weights[0] * maps[0] + weights[1] * maps[1])
+    missing = {"backbone.layer4", "backbone.cbam5", "fusion.branch3"}
+    assert whole.keys() - less.keys() == missing, whole.keys() - less.keys()
+
+
 if __name__ == "__main__":
     torch.manual_seed(0)
     gates()
@@ -296,4 +313,5 @@ if __name__ == "__main__":
     calibration()
     deviations()
     networks()
+    without_the_deepest_scale()
     weight_files()

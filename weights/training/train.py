@@ -35,6 +35,7 @@ from model import NETWORKS, Config, SmrNet, Variant
 
 WARMUP = 200  # steps
 LOOK_EVERY = 100  # steps between looks for new folders
+WITHOUT_DEEPEST = 0.5  # share of the steps
 EMA_EVERY, EMA_DECAY = 4, 0.998
 # What a network takes over from another beside which it learns.
 SHARED = ("pixels_per_mm", "mean", "std", "anchor_sizes", "anchor_ratios")
@@ -242,10 +243,12 @@ class Run:
         targets = [{k: v.to(self.device) for k, v in t.items()} for t in targets]
         # The choice of anchors and proposals draws from torch's generator.
         torch.manual_seed(self.args.seed * 1_000_003 + self.step)
-        losses, fused = detection_losses(self.learner.model, images, targets, self.learner.extra)
+        # Both ways of running must come out right: with conv5_x, and without it where it is left out.
+        scales = 2 if float(torch.rand(())) < WITHOUT_DEEPEST and self.config.leaves_deepest else 3
+        losses, fused = detection_losses(self.learner.model, images, targets, self.learner.extra, scales=scales)
         report = {"norm": self.learner.learn(sum(losses.values()), self.rate())}
         if self.student:
-            more, _ = detection_losses(self.student.model, images, targets, self.student.extra, fused.detach())
+            more, _ = detection_losses(self.student.model, images, targets, self.student.extra, fused.detach(), scales)
             rate = self.rate() * self.args.student_lr / self.args.lr
             report |= {"student_norm": self.student.learn(sum(more.values()), rate)}
             losses |= {f"student_{k}": v for k, v in more.items()}

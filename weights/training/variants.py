@@ -1,4 +1,4 @@
-"""Writes golden tensors of every ablation on untrained weights, for the Rust tests.
+"""Writes golden tensors of every ablation, and of the network without its deepest scale, on untrained weights, for the Rust tests.
 
 The weights and the picture are hashes, which src/model/weights.rs and
 tests/stages.rs compute too, so the file holds outputs only. Computed in
@@ -17,7 +17,9 @@ from data import normalise, resize_square
 from model import Config, SmrNet, Variant
 
 SEED = 7
-VARIANTS = {"full": {}, "no-safe": {"safe": False}, "no-msff": {"msff": False}, "no-rw": {"rw": False}}
+VARIANTS = {"full": {}, "no-safe": {"safe": False}, "no-msff": {"msff": False}, "no-rw": {"rw": False}, "no-deepest": {}}
+# Scales that are computed, where that is not all.
+SCALES = {"no-deepest": 2}
 STAGES = ("rpn.cls", "rpn.bbox", "proposals", "roi_head.pool", "roi_head.cls_score", "roi_head.bbox_pred")
 WIDTH, HEIGHT = 80, 70
 # Middle and spread of a vector, by the end of its name: blocks near the identity, gates open.
@@ -62,7 +64,7 @@ def main() -> None:
         model.load_state_dict({k: v if k.endswith("num_batches_tracked") else hashed(k, v.shape) for k, v in state.items()})
         stages: dict[str, torch.Tensor] = {}
         image = normalise(pixels, config.mean, config.std)[None]
-        model.double().eval().detect(image, stages, score=0.0)
+        model.double().eval().detect(image, stages, score=0.0, scales=SCALES.get(label, 3))
         # A map that died, or gates that shut, would hide whatever comes before them.
         assert stages["fusion.fused"].std() > 0.1, label
         for name in STAGES:

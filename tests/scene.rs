@@ -136,7 +136,7 @@ fn parts_and_the_best_proposals_find_the_snap_that_the_whole_finds() {
         let doubted = detect(config(device, doubting).reference(reference.clone()));
         assert_eq!((doubted.contact, &doubted.regions), (Some(true), &None));
         assert_eq!(doubted.detections, whole.detections);
-        assert_eq!((doubted.deepest, doubting.left_out(&doubted)), (true, vec![]));
+        assert_eq!((doubted.without_deepest, doubting.left_out(&doubted)), (false, vec![]));
     }
     // A part in which something touches and no score is near enough is done with.
     let scene = Scene { doubt: 0.0, ..Scene::SAVING };
@@ -163,11 +163,16 @@ fn the_snap_is_found_without_the_deepest_scale() {
             assert!(ran(&whole, stage), "{stage}");
             assert_eq!(ran(&less, stage), stage != "backbone.layer4", "{stage}");
         }
-        assert_eq!((whole.deepest, less.deepest), (true, false));
-        assert_eq!(scales.left_out(&less), ["the deepest scale: it hardly weighs"]);
+        assert_eq!((whole.without_deepest, less.without_deepest), (false, true));
+        assert_eq!(scales.left_out(&less), ["the deepest scale: no box was in doubt without it"]);
         let ([stud], [found]) = (&whole.detections[..], &less.detections[..]) else {
             panic!("one stud each: {:?}, {:?}", whole.detections, less.detections)
         };
+        // Whatever is in doubt without it, all of the network decides.
+        let doubting = Scene { doubt: 1.0, ..scales };
+        let doubted = detect(&device, doubting);
+        assert_eq!((doubted.without_deepest, doubting.left_out(&doubted)), (false, vec![]));
+        assert_eq!(doubted.detections, whole.detections);
         // It moves, as its map is another; a tenth of the stud on each side is much.
         assert_ne!(found.bbox, stud.bbox);
         let iou = box_iou(found.bbox.map(f64::from), stud.bbox.map(f64::from));
@@ -199,7 +204,10 @@ fn frames_given_together_find_what_each_finds_alone() {
             match (together, detector.detect_frame(frame)) {
                 (Ok(a), Ok(b)) => {
                     assert_eq!(a.detections, b.detections, "frame {at}");
-                    assert_eq!((a.contact, &a.regions), (b.contact, &b.regions), "frame {at}");
+                    let looked = |found: &Detections| {
+                        (found.contact, found.regions.clone(), found.without_deepest)
+                    };
+                    assert_eq!(looked(&a), looked(&b), "frame {at}");
                     found += a.detections.len();
                 }
                 (Err(a), Err(b)) => assert_eq!((at, a.to_string()), (2, b.to_string())),

@@ -62,9 +62,9 @@ pub struct Detections {
     /// `None` for all of it.
     #[cfg_attr(feature = "serde", serde(default))]
     pub regions: Option<Vec<Rect>>,
-    /// Whether the network looked at its deepest scale too, where [`Scene::scales`] leaves that out.
+    /// Whether the network looked, and without its deepest scale, which [`Scene::scales`] leaves out.
     #[cfg_attr(feature = "serde", serde(default))]
-    pub deepest: bool,
+    pub without_deepest: bool,
     /// Whether the frame is as one before it in a stream, so that its detections are that one's.
     #[cfg_attr(feature = "serde", serde(default))]
     pub reused: bool,

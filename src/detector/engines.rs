@@ -127,9 +127,8 @@ impl Engines {
 
     /// What a whole picture alone needs whose input has `size`, height and width.
     pub fn whole(&self, size: [usize; 2], precision: Precision) -> Kind {
-        let scene = &self.config.scene;
-        let (proposals, deepest) = (scene.proposals(size, false), !scene.scales);
-        Kind { size, precision, batch: 1, proposals, deepest }
+        let proposals = self.config.scene.proposals(size, false);
+        Kind { size, precision, batch: 1, proposals, deepest: true }
     }
 
     /// An engine; built first if no picture asked for it lately. Building blocks this thread.
@@ -141,7 +140,7 @@ impl Engines {
         let deepest = kind.deepest || !self.model().variant.leaves_deepest();
         let kind = Kind { deepest, ..kind };
         self.ready.get_or_build(kind, &self.building, || {
-            let like = self.ready.last();
+            let like = self.ready.best(|other| (other.precision == kind.precision, other.deepest));
             let Kind { size, precision, batch, proposals, deepest } = kind;
             let wanted = Wanted { most_proposals: proposals, deepest, ..self.wanted };
             let network = Network::new(self.weights.clone(), size, wanted)?;
@@ -203,8 +202,9 @@ impl<K: PartialEq + Copy, T> Recent<K, T> {
         all.last().map(|(_, found)| found.clone())
     }
 
-    fn last(&self) -> Option<Arc<T>> {
-        self.all().last().map(|(_, last)| last.clone())
+    /// What is ranked highest, of several the one used last.
+    fn best<R: Ord>(&self, rank: impl Fn(&K) -> R) -> Option<Arc<T>> {
+        self.all().iter().max_by_key(|(key, _)| rank(key)).map(|(_, best)| best.clone())
     }
 
     fn all(&self) -> MutexGuard<'_, Vec<(K, Arc<T>)>> {

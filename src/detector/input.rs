@@ -135,7 +135,8 @@ impl Input {
         let Answer { found, proposals, deepest } =
             self.answer(network, values, &self.whole(), 0)?;
         let found = found.into_iter().map(|found| found.detection).collect();
-        Ok(Detections { proposals, deepest, stages, ..self.report(found) })
+        let without_deepest = !deepest;
+        Ok(Detections { proposals, without_deepest, stages, ..self.report(found) })
     }
 
     /// These detections of the picture, and that nothing was left out.
@@ -149,7 +150,7 @@ impl Input {
             precision: Precision::F32,
             contact: None,
             regions: None,
-            deepest: true,
+            without_deepest: false,
             reused: false,
             proposals: 0,
             stages: Vec::new(),

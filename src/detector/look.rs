@@ -52,11 +52,11 @@ impl<'a> Sight<'a> {
     /// What was found in a picture whose windows gave `answers`.
     fn detections(&self, answers: Vec<Seen>, precision: Precision, config: &Config) -> Detections {
         let mut stages = self.stages.clone();
-        let (mut found, mut proposals, mut deepest) = (Vec::new(), 0, !answers.is_empty());
+        let (mut found, mut proposals, mut without_deepest) = (Vec::new(), 0, false);
         for Seen { answer, times } in answers {
             found.extend(answer.found);
             proposals += answer.proposals;
-            deepest &= answer.deepest;
+            without_deepest |= !answer.deepest;
             for time in times {
                 match stages.iter_mut().find(|sum| sum.stage == time.stage) {
                     Some(sum) => sum.time += time.time,
@@ -70,7 +70,7 @@ impl<'a> Sight<'a> {
             contact: self.contact,
             // Where nothing touches it is no part.
             regions: (self.in_parts || self.windows.is_empty()).then(rects),
-            deepest,
+            without_deepest,
             proposals,
             precision,
             stages,
@@ -140,7 +140,7 @@ async fn look_as(
     let (mut places, mut wholes) = (Vec::new(), Vec::new());
     for (at, (found, sight)) in found.iter().zip(sights).enumerate() {
         if let Ok(found) = found.as_ref()
-            && (sight.in_parts || !found.deepest)
+            && (sight.in_parts || found.without_deepest)
             && leaves_doubt(found, config)
         {
             places.push(at);

@@ -52,7 +52,7 @@ use crate::tune::{self, Tuned};
 pub use config::{Config, Device, WeightSource};
 pub use detection::{Comparison, Detection, Detections};
 use engine::Engine;
-use engines::Engines;
+use engines::{Engines, Kind};
 use input::{Geometry, Input};
 use look::Sight;
 pub use scene::Scene;
@@ -131,13 +131,9 @@ impl GpuDetector {
         let (engines, rebuilding) = (RwLock::new(Arc::new(engines)), Mutex::new(()));
         let reference = Mutex::default();
         let detector = Self { config, model, engines, reference, rebuilding, foreign };
-        let usual = detector.usual_frame();
-        if let Some(frame) = usual {
-            detector.prepare(frame)?;
-        }
-        // What no engine has looked at yet is refused now, and not at some later picture.
-        if usual.is_none() || detector.config.scene.scales {
-            detector.engines().check()?;
+        match detector.usual_frame() {
+            Some(frame) => detector.prepare(frame)?,
+            None => detector.engines().check()?,
         }
         Ok(detector)
     }
@@ -155,7 +151,12 @@ impl GpuDetector {
         let view = self.view(frame, None)?;
         let geometry = Geometry::new(&view, &self.model, self.config.input_size)?;
         let engines = self.engines();
+        // All of the network first: what leaves some of it out then shares its weights.
         engines.one(geometry.size)?;
+        if self.config.scene.scales {
+            let all = engines.whole(geometry.size, engines.precision());
+            engines.engine(Kind { deepest: false, ..all })?;
+        }
         if self.config.scene.looks() {
             let reference = self.reference(&view)?.is_some();
             let cells = contact::cells(&view);
@@ -627,7 +628,7 @@ mod tests {
             precision: Precision::F16,
             contact: Some(true),
             regions: Some(vec![Rect { x: 1, y: 2, width: 3, height: 4 }]),
-            deepest: true,
+            without_deepest: true,
             reused: false,
             proposals: 7,
             stages,
@@ -642,7 +643,7 @@ mod tests {
             }],
             "width": 640, "height": 480, "mm_per_pixel": 0.0625, "precision": "f16", "proposals": 7,
             "contact": true, "regions": [{"x": 1, "y": 2, "width": 3, "height": 4}],
-            "deepest": true, "reused": false,
+            "without_deepest": true, "reused": false,
             "stages": [{"stage": "input", "ms": 1.5}],
             "wall_ms": 20.0
         });

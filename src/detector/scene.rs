@@ -31,8 +31,8 @@ pub struct Scene {
     pub regions: bool,
     /// Of the whole picture, too, only the best `most_proposals` reach the network's last part.
     pub proposals: bool,
-    /// The deepest of the three scales, conv5_x, of which RW-Net takes least, is neither computed nor added,
-    /// but in a look at the whole after one that left `doubt`.
+    /// The deepest of the three scales, conv5_x, is neither computed nor added, but in a look at the whole after
+    /// one that left `doubt`. Weights without RW-Net cannot do without it.
     pub scales: bool,
     /// Gel round a contact that the network sees, in millimetres; from 0 to 60. What counts as contact reaches
     /// up to 2 mm past what touches.
@@ -88,8 +88,8 @@ impl Scene {
             let most = self.most_proposals;
             left.push(format!("proposals: none but the best, {most} in 320 x 320 pixels"));
         }
-        if self.scales && !found.deepest {
-            left.push("the deepest scale: it hardly weighs".to_owned());
+        if found.without_deepest {
+            left.push("the deepest scale: no box was in doubt without it".to_owned());
         }
         left
     }
@@ -105,7 +105,8 @@ impl Scene {
         if self.regions || self.scales { score * (1.0 - self.doubt) } else { score }
     }
 
-    /// Whether a box of this score in what was not looked at wholly leaves doubt where detections must be above `asked`.
+    /// Whether a box of this score leaves doubt, where less than all was looked at and detections must be above
+    /// `asked`.
     pub(super) fn is_doubtful(&self, score: f32, asked: f32) -> bool {
         score > self.least_score(asked) && score <= asked
     }

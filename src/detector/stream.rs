@@ -71,6 +71,7 @@ impl<'a> Stream<'a> {
             let kept = Detections {
                 contact: found.contact,
                 regions: found.regions.clone(),
+                without_deepest: found.without_deepest,
                 proposals: found.proposals,
                 precision: found.precision,
                 reused: true,

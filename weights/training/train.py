@@ -35,7 +35,6 @@ from model import NETWORKS, Config, SmrNet, Variant
 
 WARMUP = 200  # steps
 LOOK_EVERY = 100  # steps between looks for new folders
-WITHOUT_DEEPEST = 0.5  # share of the steps
 EMA_EVERY, EMA_DECAY = 4, 0.998
 # What a network takes over from another beside which it learns.
 SHARED = ("pixels_per_mm", "mean", "std", "anchor_sizes", "anchor_ratios")
@@ -244,7 +243,8 @@ class Run:
         # The choice of anchors and proposals draws from torch's generator.
         torch.manual_seed(self.args.seed * 1_000_003 + self.step)
         # Both ways of running must come out right: with conv5_x, and without it where it is left out.
-        scales = 2 if float(torch.rand(())) < WITHOUT_DEEPEST and self.config.leaves_deepest else 3
+        share = self.args.without_deepest if self.config.leaves_deepest else 0.0
+        scales = 2 if share > 0 and float(torch.rand(())) < share else 3
         losses, fused = detection_losses(self.learner.model, images, targets, self.learner.extra, scales=scales)
         report = {"norm": self.learner.learn(sum(losses.values()), self.rate())}
         if self.student:
@@ -295,6 +295,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--checkpoint-minutes", type=float, default=4)
     parser.add_argument("--val-minutes", type=float, default=20)
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--without-deepest", type=float, default=0.0, help="share of the steps that compute nothing of conv5_x")
     parser.add_argument("--no-safe", action="store_true", help="ablation: no attention in the backbone")
     parser.add_argument("--no-msff", action="store_true", help="ablation: conv4_x alone")
     parser.add_argument("--no-rw", action="store_true", help="ablation: concatenation in place of the weights")

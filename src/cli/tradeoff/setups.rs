@@ -171,8 +171,9 @@ pub(in crate::cli) fn configured(
     config.device = setup.device.parse::<Device>()?;
     config.choice = Choice { forced: setup.kernels.clone(), ..Choice::default() };
     config.batch = setup.batch;
-    // What a table says of errors is of whole pictures: parts move boxes, too.
+    // What a table says of errors is of whole pictures and all scales: parts move boxes, too.
     config.scene.regions = false;
+    config.scene.scales = false;
     let gpu = open_gpu(&config.device)?;
     Ok((config, gpu.map(|gpu| Place::of(&gpu))))
 }

@@ -135,6 +135,13 @@ fn damaged_weights_are_named() {
         bytes[20..22].copy_from_slice(&0x7e00_u16.to_le_bytes());
     });
     detect([name, "expected finite values, got NaN at 10"]);
+
+    // What is left out until a box is in doubt is looked at before the first picture all the same.
+    let name = "backbone.layer4.0.conv1.weight";
+    weights_with(&file, |t| drop(t.remove(name)));
+    let arguments = ["detect", "x.png", "--weights", "w.safetensors", "--leave-out", "scales"];
+    let ran = run(folder.path(), &arguments).expect(3).tells(name).tells("got none");
+    assert_eq!(ran.stdout, "");
 }
 
 #[test]

@@ -27,14 +27,21 @@ fn size_of(op: &dyn Op, inputs: &[&TensorSpec]) -> String {
     format!("{parameters}: {}", inputs.join(", "))
 }
 
-#[test]
-fn every_operation_of_the_network_has_a_case_of_its_size() {
+/// The network at the paper's size, with the deepest scale or without.
+fn network(deepest: bool) -> Network {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("weights/smrnet.safetensors");
     let weights = Weights::open(&path).expect("the weights");
-    let wanted = Wanted { score: 0.05, ..Wanted::ALL };
-    let network = Network::new(weights, [320; 2], wanted).expect("a network");
-    let needed: BTreeSet<String> =
-        network.graph.operations().map(|(op, inputs)| size_of(op, &inputs)).collect();
+    let wanted = Wanted { score: 0.05, deepest, ..Wanted::ALL };
+    Network::new(weights, [320; 2], wanted).expect("a network")
+}
+
+#[test]
+fn every_operation_of_the_network_has_a_case_of_its_size() {
+    let mut needed = BTreeSet::new();
+    for deepest in [true, false] {
+        let graph = network(deepest).graph;
+        needed.extend(graph.operations().map(|(op, inputs)| size_of(op, &inputs)));
+    }
     let mut there = BTreeSet::new();
     for case in OPS.iter().flat_map(|entry| (entry.cases)()).filter(|case| case.network) {
         let specs: Vec<_> = case.inputs.iter().map(Value::spec).collect();
@@ -47,10 +54,7 @@ fn every_operation_of_the_network_has_a_case_of_its_size() {
 /// Whether all is finite is told in a few words, not by reading back what was looked at.
 #[test]
 fn what_witnesses_say_is_short() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("weights/smrnet.safetensors");
-    let weights = Weights::open(&path).expect("the weights");
-    let wanted = Wanted { score: 0.05, ..Wanted::ALL };
-    let network = Network::new(weights, [320; 2], wanted).expect("a network");
+    let network = network(true);
     let words = |id| network.graph.spec(id).shape.elements();
     let told: usize = network.witnesses.iter().map(|w| words(w.counts)).sum();
     let seen: usize = network.witnesses.iter().map(|w| words(w.tensor)).sum();

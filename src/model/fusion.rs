@@ -119,14 +119,14 @@ fn reduce_concatenation(
     maps: &[TensorId],
 ) -> Result<TensorId> {
     let channels = weights.config().fused;
-    let total = weights.take_biased("fusion.reduce", [channels, 3 * channels, 1, 1])?;
+    let total = weights.take_biased("fusion.reduce", [channels, SCALES * channels, 1, 1])?;
     let mut sum = None;
     for (scale, map) in maps.iter().enumerate() {
         let shape = [channels, channels, 1, 1];
         let weight = total.weight.packed(TensorSpec::f32(shape), move |total| {
             Tensor::from_fn(shape, |i| {
                 let (out, from) = (i / channels, i % channels);
-                total.data()[(out * 3 + scale) * channels + from]
+                total.data()[(out * SCALES + scale) * channels + from]
             })
         });
         let bias = match scale {
@@ -135,9 +135,9 @@ fn reduce_concatenation(
         };
         let op = Conv2d { residual: sum.is_some(), ..Conv2d::default() };
         let inputs: Vec<_> = [*map].into_iter().chain(sum).collect();
-        let name = match scale {
-            2 => "fusion.fused".into(),
-            _ => format!("fusion.reduce{}", scale + 1),
+        let name = match scale + 1 {
+            SCALES => "fusion.fused".into(),
+            number => format!("fusion.reduce{number}"),
         };
         sum = Some(convolve(graph, &name, op, Folded { weight, bias }, &inputs)?);
     }

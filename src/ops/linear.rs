@@ -240,6 +240,8 @@ fn cases() -> Vec<Case> {
         (vec![100, 512], 6, false),
         (vec![768], 64, true),
         (vec![64], 3, false),
+        (vec![512], 64, true),
+        (vec![64], 2, false),
     ];
     for (i, (shape, outputs, relu)) in layers.into_iter().enumerate() {
         let seed = 1000 + i as u64 * 10;

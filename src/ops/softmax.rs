@@ -179,7 +179,9 @@ fn cases() -> Vec<Case> {
     input.data_mut().iter_mut().for_each(|x| *x *= 20.0);
     let warm = Softmax { temperature: 1.37, ..all };
     cases.push(Case::new("a temperature that rounds", warm, vec![input.into()]));
-    cases.push(Case::new("the scales", all, vec![one_way(1010, [3]).into()]).in_network());
+    for (name, scales) in [("the scales", 3), ("the scales without the deepest", 2)] {
+        cases.push(Case::new(name, all, vec![one_way(1010, [scales]).into()]).in_network());
+    }
     let inputs = vec![one_way(1000, [100, 3]).into(), integers([1], &[100])];
     cases.push(Case::new("the regions' classes", counted, inputs).in_network());
     cases

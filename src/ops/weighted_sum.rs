@@ -135,8 +135,11 @@ fn cases() -> Vec<Case> {
         inputs.extend((0..maps).map(|k| random_scaled(seed + 1 + k as u64, dims, scale)));
         cases.push(Case::new(name, WeightedSum { maps }, inputs));
     }
-    let mut inputs: Vec<Value> = vec![one_way(1000, [3]).into()];
-    inputs.extend((1001..1004).map(|seed| Value::from(one_way(seed, [256, 40, 40]))));
-    cases.push(Case::new("the three scales", WeightedSum { maps: 3 }, inputs).in_network());
+    for (name, maps) in [("the three scales", 3), ("the scales without the deepest", 2)] {
+        let mut inputs: Vec<Value> = vec![one_way(1000, [maps]).into()];
+        let seeds = 1001..1001 + maps as u64;
+        inputs.extend(seeds.map(|seed| Value::from(one_way(seed, [256, 40, 40]))));
+        cases.push(Case::new(name, WeightedSum { maps }, inputs).in_network());
+    }
     cases
 }

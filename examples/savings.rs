@@ -11,10 +11,10 @@
 //! 0.5 that overlaps by at least half), lost and gained against the whole network, the mean overlap with the
 //! labels, where a miss counts 0, the centre error and the shift of the centres against the whole network's,
 //! both medians, the shift's 95th percentile too; then shares of the pictures without contact, of those of
-//! which parts were looked at, and of those whose deepest scale was left out. A second table has the time of
-//! each way by what pictures show: each folder, those with one snap or several, and those with one snap of
-//! which parts, or one part, were looked at; a third the stages of the last. Then the snaps that each way
-//! loses.
+//! which parts were looked at, of those whose deepest scale was left out, and of those that were looked at
+//! again. A second table has the time of each way by what pictures show: each folder, those with one snap or
+//! several, and those with one snap of which parts, or one part, were looked at; a third the stages of the
+//! last. Then the snaps that each way loses.
 
 mod labelled;
 
@@ -86,6 +86,8 @@ struct Look {
     parts: Option<usize>,
     /// Whether the deepest scale was left out, to the end.
     without_deepest: bool,
+    /// Whether it was the second.
+    again: bool,
     /// Milliseconds of each stage.
     stages: Vec<(String, f64)>,
 }
@@ -99,6 +101,7 @@ impl Look {
             untouched: found.contact == Some(false),
             parts: found.regions.as_ref().map(Vec::len).filter(|parts| *parts > 0),
             without_deepest: found.without_deepest,
+            again: found.looked_again,
             stages: found.stages.iter().map(stage).collect(),
         }
     }
@@ -221,10 +224,10 @@ fn print(ways: &[Way], truths: &[Truth], base: usize) {
         median(base.looks.iter().map(|look| look.ms)),
     );
     println!(
-        "| | time | no contact | in parts | two scales | found | lost | gained | IoU, % | centre, mm | \
+        "| | time | no contact | in parts | two scales | again | found | lost | gained | IoU, % | centre, mm | \
          shift, mm | shift, 95 % |"
     );
-    println!("|---|{}", "--:|".repeat(11));
+    println!("|---|{}", "--:|".repeat(12));
     for way in ways {
         let ratios = way.looks.iter().zip(&base.looks).map(|(own, base)| own.ms / base.ms);
         let share = |of: fn(&Look) -> bool| {
@@ -241,12 +244,13 @@ fn print(ways: &[Way], truths: &[Truth], base: usize) {
         let shifts = both().filter_map(|(own, all)| Some((right(own)?.center, right(all)?.center)));
         let shifts: Vec<f64> = shifts.map(|(own, all)| distance(own, all)).collect();
         println!(
-            "| {} | {:.3} | {:.2} | {:.2} | {:.2} | {} | {lost} | {gained} | {:.2} | {:.3} | {:.3} | {:.3} |",
+            "| {} | {:.3} | {:.2} | {:.2} | {:.2} | {:.2} | {} | {lost} | {gained} | {:.2} | {:.3} | {:.3} | {:.3} |",
             way.name,
             median(ratios),
             share(|look| look.untouched),
             share(|look| look.parts.is_some()),
             share(|look| look.without_deepest),
+            share(|look| look.again),
             found().count(),
             100.0 * overlap / way.snaps.len().max(1) as f64,
             median(errors),

@@ -105,6 +105,9 @@ fn parts_and_the_best_proposals_find_the_snap_that_the_whole_finds() {
     let best = detect(config(Device::Cpu, best));
     assert!(whole.proposals > 32, "{} proposals", whole.proposals);
     assert_eq!((best.proposals, best.detections.len()), (32, 1));
+    let doubting = Scene { proposals: true, doubt: 1.0, ..Scene::FULL };
+    let doubted = detect(config(Device::Cpu, doubting));
+    assert_eq!((&doubted.detections, doubted.looked_again), (&whole.detections, true));
     // As if there had been a frame before: the other half's gel where the stud is.
     let mut bare = picture.clone();
     let [x1, y1, x2, y2] = stud.bbox;
@@ -130,12 +133,13 @@ fn parts_and_the_best_proposals_find_the_snap_that_the_whole_finds() {
     }
     // Where no score of a part is good enough all of the network looks at the whole, and its detections are
     // as ever.
-    let doubting = Scene { doubt: 1.0, proposals: false, ..Scene::SAVING };
+    let doubting = Scene { doubt: 1.0, ..Scene::SAVING };
     for device in [Device::Cpu, Device::Gpu(AdapterChoice::Auto)] {
         let whole = detect(config(device.clone(), Scene::FULL));
         let doubted = detect(config(device, doubting).reference(reference.clone()));
         assert_eq!((doubted.contact, &doubted.regions), (Some(true), &None));
-        assert_eq!(doubted.detections, whole.detections);
+        assert_eq!((&doubted.detections, doubted.proposals), (&whole.detections, whole.proposals));
+        assert_eq!((whole.looked_again, doubted.looked_again), (false, true));
         assert_eq!((doubted.without_deepest, doubting.left_out(&doubted)), (false, vec![]));
     }
     // A part in which something touches and no score is near enough is done with.
@@ -164,6 +168,7 @@ fn the_snap_is_found_without_the_deepest_scale() {
             assert_eq!(ran(&less, stage), stage != "backbone.layer4", "{stage}");
         }
         assert_eq!((whole.without_deepest, less.without_deepest), (false, true));
+        assert_eq!((whole.looked_again, less.looked_again), (false, false));
         assert_eq!(scales.left_out(&less), ["the deepest scale: no box was in doubt without it"]);
         let ([stud], [found]) = (&whole.detections[..], &less.detections[..]) else {
             panic!("one stud each: {:?}, {:?}", whole.detections, less.detections)
@@ -205,7 +210,8 @@ fn frames_given_together_find_what_each_finds_alone() {
                 (Ok(a), Ok(b)) => {
                     assert_eq!(a.detections, b.detections, "frame {at}");
                     let looked = |found: &Detections| {
-                        (found.contact, found.regions.clone(), found.without_deepest)
+                        let Detections { contact, without_deepest, looked_again, .. } = found;
+                        (*contact, found.regions.clone(), *without_deepest, *looked_again)
                     };
                     assert_eq!(looked(&a), looked(&b), "frame {at}");
                     found += a.detections.len();

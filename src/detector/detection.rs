@@ -65,6 +65,10 @@ pub struct Detections {
     /// Whether the network looked, and without its deepest scale, which [`Scene::scales`] leaves out.
     #[cfg_attr(feature = "serde", serde(default))]
     pub without_deepest: bool,
+    /// Whether a first look left a box in doubt ([`Scene::doubt`]), so that these are what a second one found
+    /// in all of the picture, with nothing left out.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub looked_again: bool,
     /// Whether the frame is as one before it in a stream, so that its detections are that one's.
     #[cfg_attr(feature = "serde", serde(default))]
     pub reused: bool,

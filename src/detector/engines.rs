@@ -6,7 +6,7 @@ use crate::detector::contact;
 use crate::detector::engine::{self, Engine};
 use crate::detector::pool::Pool;
 use crate::detector::runner::On;
-use crate::detector::{Config, Device, WeightSource};
+use crate::detector::{Config, Device, Scene, WeightSource};
 use crate::error::{Error, Result};
 use crate::gpu::{AdapterChoice, Gpu, GpuOptions};
 use crate::lock::lock;
@@ -125,9 +125,10 @@ impl Engines {
         self.engine(self.whole(size, self.precision()))
     }
 
-    /// What a whole picture alone needs whose input has `size`, height and width.
+    /// What a whole picture alone needs whose input has `size`, height and width, and of which nothing is left
+    /// out.
     pub fn whole(&self, size: [usize; 2], precision: Precision) -> Kind {
-        let proposals = self.config.scene.proposals(size, false);
+        let proposals = Scene::FULL.proposals(size, false);
         Kind { size, precision, batch: 1, proposals, deepest: true }
     }
 

@@ -151,6 +151,7 @@ impl Input {
             contact: None,
             regions: None,
             without_deepest: false,
+            looked_again: false,
             reused: false,
             proposals: 0,
             stages: Vec::new(),

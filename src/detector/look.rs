@@ -17,8 +17,8 @@ pub(super) struct Sight<'a> {
     windows: Vec<Window>,
     /// Whether these are parts, and not all of it.
     in_parts: bool,
-    /// Whether the deepest scale is looked at.
-    deepest: bool,
+    /// What the network leaves out of them.
+    scene: Scene,
     /// Time that it took to look for contact.
     stages: Vec<StageTime>,
 }
@@ -26,13 +26,12 @@ pub(super) struct Sight<'a> {
 impl<'a> Sight<'a> {
     /// What `scene` leaves of a picture in which a look for contact gave `look`.
     pub fn new(input: &'a Input, look: Option<contact::Look>, scene: &Scene) -> Self {
-        let (windows, deepest) = (vec![input.whole()], !scene.scales);
-        let whole =
-            Self { input, contact: None, windows, in_parts: false, deepest, stages: Vec::new() };
+        let (windows, scene, stages) = (vec![input.whole()], *scene, Vec::new());
+        let whole = Self { input, contact: None, windows, in_parts: false, scene, stages };
         let Some(contact::Look { map, stages, .. }) = look else { return whole };
         let touched = !map.is_empty();
         let parts = match touched && scene.regions {
-            true => regions::windows(&map, &input.geometry, scene),
+            true => regions::windows(&map, &input.geometry, &scene),
             false => None,
         };
         let in_parts = parts.is_some();
@@ -43,10 +42,10 @@ impl<'a> Sight<'a> {
         Self { contact: Some(touched), windows, in_parts, stages, ..whole }
     }
 
-    /// All of the picture, after a first look took `stages`.
+    /// All of the picture with nothing left out, after a first look took `stages`.
     fn whole(&self, stages: &[StageTime]) -> Self {
         let windows = vec![self.input.whole()];
-        Self { windows, in_parts: false, deepest: true, stages: stages.to_vec(), ..*self }
+        Self { windows, in_parts: false, scene: Scene::FULL, stages: stages.to_vec(), ..*self }
     }
 
     /// What was found in a picture whose windows gave `answers`.
@@ -139,23 +138,24 @@ async fn look_as(
     let mut found = see(engines, config, precision, sights, deadline).await;
     let (mut places, mut wholes) = (Vec::new(), Vec::new());
     for (at, (found, sight)) in found.iter().zip(sights).enumerate() {
-        if let Ok(found) = found.as_ref()
-            && (sight.in_parts || found.without_deepest)
-            && leaves_doubt(found, config)
-        {
+        let Ok(found) = found else { continue };
+        let less = sight.in_parts || found.without_deepest || sight.scene.proposals;
+        if less && leaves_doubt(found, config) {
             places.push(at);
             wholes.push(sight.whole(&found.stages));
         }
     }
     let again = see(engines, config, precision, &wholes, deadline).await;
-    places.into_iter().zip(again).for_each(|(at, again)| found[at] = again);
+    for (at, again) in places.into_iter().zip(again) {
+        found[at] = again.map(|again| Detections { looked_again: true, ..again });
+    }
     for found in found.iter_mut().flatten() {
         found.detections.retain(|detection| detection.score > config.score);
     }
     found
 }
 
-/// Whether a box may pass where all is looked at that does not so far.
+/// Whether a box may pass with nothing left out that does not so far.
 fn leaves_doubt(found: &Detections, config: &Config) -> bool {
     found.detections.iter().any(|found| config.scene.is_doubtful(found.score, config.score))
 }
@@ -169,10 +169,10 @@ async fn see(
     deadline: Deadline,
 ) -> Vec<Result<Detections>> {
     let mut jobs = Vec::new();
-    for Sight { input, windows, in_parts, deepest, .. } in sights {
+    for Sight { input, windows, in_parts, scene, .. } in sights {
         jobs.extend(windows.iter().copied().enumerate().map(|(part, window)| {
-            let proposals = config.scene.proposals([window.height, window.width], *in_parts);
-            Job { input, window, part, proposals, deepest: *deepest }
+            let proposals = scene.proposals([window.height, window.width], *in_parts);
+            Job { input, window, part, proposals, deepest: !scene.scales }
         }));
     }
     let mut seen = run_all(engines, precision, &jobs, deadline).await.into_iter();

@@ -151,13 +151,14 @@ impl GpuDetector {
         let view = self.view(frame, None)?;
         let geometry = Geometry::new(&view, &self.model, self.config.input_size)?;
         let engines = self.engines();
+        let Geometry { size, .. } = geometry;
         // All of the network first: what leaves some of it out then shares its weights.
-        engines.one(geometry.size)?;
-        if self.config.scene.scales {
-            let all = engines.whole(geometry.size, engines.precision());
-            engines.engine(Kind { deepest: false, ..all })?;
-        }
-        if self.config.scene.looks() {
+        engines.one(size)?;
+        let scene = &self.config.scene;
+        let proposals = scene.proposals(size, false);
+        let all = engines.whole(size, engines.precision());
+        engines.engine(Kind { proposals, deepest: !scene.scales, ..all })?;
+        if scene.looks() {
             let reference = self.reference(&view)?.is_some();
             let cells = contact::cells(&view);
             engines.contact(contact::Kind { cells, reference, stream: false })?;
@@ -629,6 +630,7 @@ mod tests {
             contact: Some(true),
             regions: Some(vec![Rect { x: 1, y: 2, width: 3, height: 4 }]),
             without_deepest: true,
+            looked_again: false,
             reused: false,
             proposals: 7,
             stages,
@@ -643,7 +645,7 @@ mod tests {
             }],
             "width": 640, "height": 480, "mm_per_pixel": 0.0625, "precision": "f16", "proposals": 7,
             "contact": true, "regions": [{"x": 1, "y": 2, "width": 3, "height": 4}],
-            "without_deepest": true, "reused": false,
+            "without_deepest": true, "looked_again": false, "reused": false,
             "stages": [{"stage": "input", "ms": 1.5}],
             "wall_ms": 20.0
         });

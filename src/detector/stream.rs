@@ -72,6 +72,7 @@ impl<'a> Stream<'a> {
                 contact: found.contact,
                 regions: found.regions.clone(),
                 without_deepest: found.without_deepest,
+                looked_again: found.looked_again,
                 proposals: found.proposals,
                 precision: found.precision,
                 reused: true,

@@ -135,8 +135,10 @@ fn cases() -> Vec<Case> {
         let pooled = random_scaled(seed, [2, channels], 1e6);
         cases.push(Case::new(name, ALL, vec![pooled]).in_network());
     }
-    let scales = vec![random_scaled(1002, [3], 1e6)];
-    cases.push(Case::new("the scales", ALL, scales).in_network());
+    for (name, scales) in [("the scales", 3), ("the scales without the deepest", 2)] {
+        let weights = random_scaled(1002, [scales], 1e6);
+        cases.push(Case::new(name, ALL, vec![weights]).in_network());
+    }
     for (seed, columns) in [(1003, 3), (1004, 12), (1005, 6)] {
         let name = format!("{columns} numbers of each proposal");
         let inputs = vec![random_scaled(seed, [100, columns], 1e6), integers([1], &[100])];

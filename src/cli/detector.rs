@@ -68,8 +68,8 @@ pub(super) struct DetectorArgs {
 
     /// What may be left out where a picture does not need it, separated by commas: `contact`, the
     /// network where nothing touches the gel; `regions`, the gel round what touches it;
-    /// `proposals`, places that are hardly a snap; `scales`, the deepest of the network's three scales
-    /// [default: contact,regions].
+    /// `proposals`, places that are hardly a snap; `scales`, the deepest of the network's three scales.
+    /// Where that leaves a box in doubt a second look leaves nothing out [default: contact,regions].
     #[arg(long, value_name = "WHAT,…", value_delimiter = ',')]
     leave_out: Vec<Saving>,
 

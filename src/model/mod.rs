@@ -123,9 +123,9 @@ impl Network {
     ///
     /// # Errors
     /// [`Error::Weights`] for a configuration out of its ranges and for tensors that are missing,
-    /// misshapen or left over, though without [`Wanted::deepest`] not for those that serve that scale alone; [`Error::Param`] for a size that is not [`ModelConfig::INPUT_SIZES`];
-    /// [`Error::Capacity`] for a tensor that no device need hold, by WebGPU's limits, so that no weight file
-    /// asks the CPU for gigabytes.
+    /// misshapen or left over, though without [`Wanted::deepest`] not for those that serve that scale alone;
+    /// [`Error::Param`] for a size that is not [`ModelConfig::INPUT_SIZES`]; [`Error::Capacity`] for a tensor
+    /// that no device need hold, by WebGPU's limits, so that no weight file asks the CPU for gigabytes.
     pub fn new(mut weights: Weights, size: [usize; 2], wanted: Wanted) -> Result<Self> {
         let config = weights.config().clone();
         // Untrained weights come with a configuration that nothing has looked at yet.

@@ -151,12 +151,11 @@ impl GpuDetector {
         let view = self.view(frame, None)?;
         let geometry = Geometry::new(&view, &self.model, self.config.input_size)?;
         let engines = self.engines();
-        let Geometry { size, .. } = geometry;
+        let (scene, size) = (&self.config.scene, geometry.size);
         // All of the network first: what leaves some of it out then shares its weights.
-        engines.one(size)?;
-        let scene = &self.config.scene;
-        let proposals = scene.proposals(size, false);
         let all = engines.whole(size, engines.precision());
+        engines.engine(all)?;
+        let proposals = scene.proposals(size, false);
         engines.engine(Kind { proposals, deepest: !scene.scales, ..all })?;
         if scene.looks() {
             let reference = self.reference(&view)?.is_some();

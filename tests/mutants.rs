@@ -201,6 +201,22 @@ const FAULTS: &[Fault] = &[
         by_hand: true,
     },
     Fault {
+        what: "a pixel past the filter's end counted",
+        file: "crop_resize/quads",
+        changes: &[("vec4(columns.end)", "vec4(columns.end + 1u)")],
+        op: "crop_resize",
+        case: "5x5 inside 7x6 to 3, PyTorch's numbers",
+        by_hand: true,
+    },
+    Fault {
+        what: "of pixels of three bytes the third taken for the fourth",
+        file: "shared/pixels",
+        changes: &[("bytes.z >> 8u", "(bytes.y >> 16u) | (bytes.z << 16u)")],
+        op: "crop_resize",
+        case: "four pixels to one, Bgr8, by hand",
+        by_hand: true,
+    },
+    Fault {
         what: "blue first taken for red first",
         file: "shared/pixels",
         changes: &[("(format & 1u) == 1u", "(format & 1u) == 2u")],

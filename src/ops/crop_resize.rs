@@ -372,6 +372,25 @@ fn cases() -> Vec<Case> {
         let inputs = vec![noise, in_format([61, 47, 1, 2, 60, 45, 23, 17, 0, 0], number)];
         cases.push(Case::new(format!("{format:?}, resized"), op, inputs));
     }
+    // A row of five pixels, of which the last four make one: their centres are 3/2 and 1/2 from the middle and
+    // the triangle reaches 4, so they weigh 5, 7, 7 and 5 of 24. Red is 0, 1, 3 and 5 fifths, which makes 53/24
+    // of a fifth, green 5, 0, 1 and 3, blue 3, 5, 0 and 1. Which byte is which colour, by format:
+    let bytes_of: [&[usize]; 5] = [&[0, 1, 2], &[2, 1, 0], &[0, 1, 2, 0], &[2, 1, 0, 0], &[0]];
+    let fifths: [[u8; 3]; 5] = [[2, 4, 4], [0, 5, 3], [1, 0, 5], [3, 1, 0], [5, 3, 1]];
+    for ((number, format), order) in (0..).zip(PixelFormat::OWN_COLOURS).zip(bytes_of) {
+        let bytes = fifths.iter().flat_map(|of| order.iter().map(|colour| 51 * of[*colour]));
+        let bytes: Vec<u8> = bytes.collect();
+        let word = |at: usize| {
+            (0..4)
+                .rev()
+                .fold(0, |word, i| word << 8 | u32::from(*bytes.get(4 * at + i).unwrap_or(&0)))
+        };
+        let words: Value = Tensor::from_fn([bytes.len().div_ceil(4)], word).into();
+        let inputs = vec![words, in_format([5, 1, 1, 0, 4, 1, 1, 1, 0, 0], number)];
+        let want = if order.len() == 1 { [53.0; 3] } else { [53.0, 47.0, 55.0] };
+        let case = Case::new(format!("four pixels to one, {format:?}, by hand"), RAW, inputs);
+        cases.push(case.by_hand(vec![values([3, 1, 1], &want.map(|n: f32| n / 120.0))]));
+    }
     let op = CropResize { mean, std, ..sized(320) };
     let inputs = vec![pattern(1_000_000), square(320, [1000, 1000, 0, 0, 1000])];
     cases.push(Case::new("the sensor's picture", op, inputs).in_network());

@@ -6,8 +6,8 @@ are before say best how often they are right (least log loss; right: right class
 at least half, each snap once). A deviation s of yaw or of the centre becomes c s^k, with c
 and k such that 68.3 % of the errors lie within one of them, among small and large ones
 alike: a log variance is an output of roi_head.pose, so k scales its row and 2 ln c goes
-into its bias. Programs may leave out the deepest scale, so both ways of
-looking count alike. `--data` decides the scores; the deviations learn from `--deviations` too.
+into its bias. All scales are looked at, as programs do unasked. `--data` decides the
+scores; the deviations learn from `--deviations` too.
 Figures before and after are printed, after on the same pictures: others must judge them.
 """
 
@@ -31,7 +31,7 @@ SHARE = math.erf(math.sqrt(0.5))  # of a normal distribution within one deviatio
 
 
 class Looks:
-    """Each picture's regions as the head sees them, with the deepest scale and without, and its truth in input pixels."""
+    """Each picture's regions as the head sees them, and its truth in input pixels."""
 
     def __init__(self, model: SmrNet, folders: list[Path], limit: int | None):
         self.config, self.rows = model.config, []
@@ -42,9 +42,8 @@ class Looks:
                 image = normalise(pixels, self.config.mean, self.config.std)[None].contiguous(memory_format=torch.channels_last)
                 truth = {name: torch.from_numpy(getattr(entry.snaps, name)) for name in ("boxes", "labels", "yaw", "whole")}
                 truth["boxes"] = truth["boxes"] / torch.tensor([x, y, x, y])
-                for scales in (2, 3) if model.config.leaves_deepest else (3,):
-                    proposals, heads = model.regions(image, {}, scales)[0]
-                    self.rows.append((proposals, heads, image.shape[2:], truth))
+                proposals, heads = model.regions(image, {})[0]
+                self.rows.append((proposals, heads, image.shape[2:], truth))
 
     def detections(self, temperature: float) -> list[tuple[dict, dict, torch.Tensor]]:
         """Truth, detections and which truth each of them finds."""

@@ -7,7 +7,7 @@ at least half, each snap once). A deviation s of yaw or of the centre becomes c 
 and k such that 68.3 % of the errors lie within one of them, among small and large ones
 alike: a log variance is an output of roi_head.pose, so k scales its row and 2 ln c goes
 into its bias. All scales are looked at, as programs do unasked. `--data` decides the
-scores; the deviations learn from `--deviations` too.
+scores, but with `--keep-scores`; the deviations learn from `--deviations` too.
 Figures before and after are printed, after on the same pictures: others must judge them.
 """
 
@@ -145,16 +145,8 @@ def shares(stated: np.ndarray, error: np.ndarray) -> str:
     return "{:.0f} % ({:.0f}, {:.0f}, {:.0f})".format(*(100 * p for p in parts))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--weights", type=Path, required=True)
-    parser.add_argument("--data", type=Path, nargs="+", required=True, help="COCO folders that were not trained on")
-    parser.add_argument("--deviations", type=Path, nargs="+", default=[], help="further ones, for the deviations alone")
-    parser.add_argument("--limit", type=int, help="the first pictures of each folder only")
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args()
-    model = weightfile.load(args.weights)
-    looks = Looks(model, args.data, args.limit)
+def calibrate_scores(model: SmrNet, looks: Looks) -> float:
+    """Puts the offsets into the model and into the looks; returns the temperature."""
     scores, hits = looks.scores(1.0)
     print(f"before: {len(scores)} detections, log loss {log_loss(scores, hits):.4f}, calibration error {calibration_error(scores, hits):.4f}")
     temperature, offsets = fit_scores(*looks.logits())
@@ -165,6 +157,23 @@ def main() -> None:
         model.roi_head.cls_score.bias += offsets
     scores, hits = looks.scores(best)
     print(f"after: temperature {best}, offsets {[round(o, 3) for o in offsets.tolist()]}, {len(scores)} detections, log loss {log_loss(scores, hits):.4f}, calibration error {calibration_error(scores, hits):.4f}")
+    return best
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--weights", type=Path, required=True)
+    parser.add_argument("--data", type=Path, nargs="+", required=True, help="COCO folders that were not trained on")
+    parser.add_argument("--deviations", type=Path, nargs="+", default=[], help="further ones, for the deviations alone")
+    parser.add_argument("--keep-scores", action="store_true", help="fit the deviations alone")
+    parser.add_argument("--limit", type=int, help="the first pictures of each folder only")
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args()
+    model = weightfile.load(args.weights)
+    looks = Looks(model, args.data, args.limit)
+    best = model.config.temperature
+    if not args.keep_scores:
+        best = calibrate_scores(model, looks)
     if model.config.pose:
         more = Looks(model, args.deviations, args.limit)
         found = [errors(each, best) for each in (looks, more)]

@@ -68,12 +68,12 @@ have_adapter() {
 most_crates=85
 features() {
     local feature
-    for feature in "" image picture cpu serde eval simulator; do
+    # None, with the tests that need none.
+    cargo clippy --locked --release --all-targets --no-default-features -- -D warnings
+    for feature in image picture cpu serde eval simulator; do
         cargo clippy --locked --release --lib --no-default-features --features "$feature" \
             -- -D warnings
     done
-    # With the tests that need no feature.
-    cargo clippy --locked --release --all-targets --no-default-features -- -D warnings
 }
 crates() {
     local found
@@ -85,7 +85,7 @@ crates() {
 
 step format cargo fmt --check
 # With what the tests need, so that nothing is built twice; the program is built with them.
-step build cargo test --locked --release --no-run
+step build cargo test --locked --release --tests --no-run
 step adapter have_adapter
 step clippy cargo clippy --locked --release --all-targets -- -D warnings
 step features features
@@ -94,7 +94,9 @@ RUSTDOCFLAGS="-D warnings" step docs cargo doc --locked --release --no-deps
 if command -v cargo-deny >/dev/null; then
     step deny cargo deny --locked check bans licenses sources
 fi
-step tests cargo test --locked --release
+# Examples are no tests: clippy has compiled them.
+step tests cargo test --locked --release --tests
+step doctests cargo test --locked --release --doc
 # The same code with overflow checks and debug assertions; what it depends on is built already.
 step overflow cargo test --locked --release --lib --test cli \
     --config profile.release.package.smr-gpu.overflow-checks=true \

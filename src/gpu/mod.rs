@@ -4,17 +4,21 @@
 //! A [`Slot`] is one run's worth of memory, so that several pictures can be in flight; slots of programs
 //! that take turns share an `Arena`.
 
+mod adapter;
 mod arena;
 mod context;
 mod faults;
 mod landing;
+mod memory;
 mod native;
+mod pipeline;
 mod poison;
 mod program;
 mod slot;
 
+pub use adapter::{AdapterChoice, AdapterReport, adapters};
 pub(crate) use arena::Arena;
-pub use context::{AdapterChoice, AdapterReport, Gpu, GpuOptions, adapters};
+pub use context::{Gpu, GpuOptions};
 #[doc(hidden)]
 pub use faults::{Call, Fault, Faults};
 pub use landing::Deadline;

@@ -5,7 +5,8 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use crate::error::{Error, Result};
-use crate::gpu::context::{Gpu, Pipeline};
+use crate::gpu::context::Gpu;
+use crate::gpu::pipeline::Pipeline;
 use crate::graph::TensorId;
 use crate::kernels::{Command, Dispatch, Grid, Layout, Recording, Role, Storage, TensorInfo};
 use crate::lower::{Lowered, lifetimes};

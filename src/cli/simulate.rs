@@ -42,8 +42,8 @@ pub(super) struct Args {
     seed: u64,
 
     /// Which snaps the pictures show.
-    #[arg(long, value_enum, default_value_t = Kind::Mixed)]
-    kind: Kind,
+    #[arg(long, value_enum, default_value_t = Mix::Mixed)]
+    kind: Mix,
 
     /// From what frames, light, wear and parts are drawn.
     #[arg(long, value_enum, default_value_t = Conditions::Plain)]
@@ -63,7 +63,7 @@ pub(super) struct Args {
 
     /// Narrow what is no snap to one kind (wide conditions).
     #[arg(long, value_enum)]
-    part: Option<PartName>,
+    part: Option<Part>,
 
     /// Set conditions for all pictures, KEY or KEY=VALUE, separated by commas (wide conditions).
     ///
@@ -85,95 +85,13 @@ enum Conditions {
     Wide,
 }
 
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum PartName {
-    /// A hook without its barb.
-    Arm,
-    /// A plain block.
-    Block,
-    /// A block of two steps.
-    Tab,
-    /// A ring without slots.
-    Ring,
-    /// A slotted, cross or hex screw.
-    Screw,
-    /// A nut.
-    Nut,
-    /// A ball.
-    Ball,
-    /// A roof or a wedge.
-    Prism,
-    /// An angle of two legs.
-    Bracket,
-    /// Raised letters.
-    Letters,
-    /// A straight bar.
-    Rib,
-    /// A straight edge.
-    Edge,
-    /// A round pin.
-    Pin,
-    /// A thing of no known kind.
-    Clutter,
-    /// Bare gel.
-    Nothing,
-}
-
-impl From<PartName> for Part {
-    fn from(name: PartName) -> Self {
-        match name {
-            PartName::Arm => Self::Arm,
-            PartName::Block => Self::Block,
-            PartName::Tab => Self::Tab,
-            PartName::Ring => Self::Ring,
-            PartName::Screw => Self::Screw,
-            PartName::Nut => Self::Nut,
-            PartName::Ball => Self::Ball,
-            PartName::Prism => Self::Prism,
-            PartName::Bracket => Self::Bracket,
-            PartName::Letters => Self::Letters,
-            PartName::Rib => Self::Rib,
-            PartName::Edge => Self::Edge,
-            PartName::Pin => Self::Pin,
-            PartName::Clutter => Self::Clutter,
-            PartName::Nothing => Self::Nothing,
-        }
-    }
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum Kind {
-    /// Cantilever hooks alone, at least one a picture.
-    A,
-    /// Split-ring studs alone, at least one a picture.
-    B,
-    /// Both kinds, several or none.
-    Mixed,
-    /// No snaps: other things, or an untouched gel.
-    None,
-    /// An untouched gel, with its dust, scratches and stains.
-    Bare,
-}
-
-impl From<Kind> for Mix {
-    fn from(kind: Kind) -> Self {
-        match kind {
-            Kind::A => Self::A,
-            Kind::B => Self::B,
-            Kind::Mixed => Self::Mixed,
-            Kind::None => Self::None,
-            Kind::Bare => Self::Bare,
-        }
-    }
-}
-
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let Args { out, count, seed, kind, conditions, press, sensor, part, mut force } = args;
     let plain = conditions == Conditions::Plain;
     if plain && sensor.is_none() && (part.is_some() || force != Forced::default()) {
         return Err(Failure::usage("--part and --force need --conditions wide or --sensor"));
     }
-    if press && (!plain || matches!(kind, Kind::None | Kind::Bare)) {
+    if press && (!plain || matches!(kind, Mix::None | Mix::Bare)) {
         return Err(Failure::usage(
             "--press needs --conditions plain and a snap: --kind a, b or mixed",
         ));
@@ -189,8 +107,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         true => Distribution::Plain,
         false => Distribution::Wide,
     };
-    let (mix, part) = (kind.into(), part.map(Part::from));
-    let request = Request { mix, conditions, part, forced: force, sensor, press };
+    let request = Request { mix: kind, conditions, part, forced: force, sensor, press };
     let settings = Settings { out, count: count as usize, seed, request };
     let bar = ProgressBar::new(count.into());
     let style = ProgressStyle::with_template("{msg} {bar:40} {pos}/{len} pictures, {eta} left");

@@ -24,6 +24,7 @@ pub type Line = [[f64; 2]; 2];
 
 /// Kinds of look-alikes, and of other things that are no snaps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Part {
     /// A hook without its barb.

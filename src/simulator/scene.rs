@@ -79,13 +79,14 @@ impl<T> Placed<T> {
 #[derive(
     Debug, Clone, Copy, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize,
 )]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Mix {
-    /// Hooks only, at least one.
+    /// Cantilever hooks alone, at least one a picture.
     A,
-    /// Studs only, at least one.
+    /// Split-ring studs alone, at least one a picture.
     B,
-    /// Both kinds, or none.
+    /// Both kinds, several or none.
     #[default]
     Mixed,
     /// No snaps: other things, balls among them, or an untouched gel.

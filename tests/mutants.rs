@@ -823,16 +823,6 @@ const EQUIVALENT: &[(&str, &str, &str)] = &[
     ("crop_resize/quads", "if x >= map.width && y >= map.height {", "likewise"),
     ("crop_resize/quads", "return; removed", "likewise: the only one there"),
     (
-        "shared/pixels",
-        "let last_word = arrayLength(&picture) - 0u;",
-        "of the word behind the picture no bit is used: it keeps a read in bounds",
-    ),
-    (
-        "shared/pixels",
-        "let last_word = arrayLength(&picture) - 2u;",
-        "here a guard lies behind the picture, which no pixel reads",
-    ),
-    (
         "channel_gate",
         "let none = select(0u, 0u, workgroups.x == 0u);",
         "a 0 that compilers must not know",

@@ -18,11 +18,6 @@ fn pixels() -> Pixels {
     return Pixels(crop[0], bytes, select(shifts, vec3<u32>(), format >= 4u), last_word);
 }
 
-// Red, green and blue, from 0 to 255, of the pixel whose bytes begin a word.
-fn colours(map: Pixels, word: u32) -> vec3<u32> {
-    return (vec3<u32>(word) >> map.shifts) & vec3<u32>(255u);
-}
-
 // Red, green and blue of a pixel, from 0 to 255. Nothing is read outside the picture's buffer, whatever the
 // corner says.
 fn colour(map: Pixels, at: vec2<u32>) -> vec3<u32> {
@@ -32,7 +27,7 @@ fn colour(map: Pixels, at: vec2<u32>) -> vec3<u32> {
     let shift = byte % 4u * 8u;
     // In two steps: no shift is by all bits.
     let four_bytes = (low >> shift) | ((high << (24u - shift)) << 8u);
-    return colours(map, four_bytes);
+    return (vec3<u32>(four_bytes) >> map.shifts) & vec3<u32>(255u);
 }
 
 // The colours of four pixels side by side.
@@ -67,10 +62,11 @@ fn four_colours(map: Pixels, at: vec2<u32>) -> FourColours {
     );
     let of_one = vec4<u32>(bytes.x) >> vec4<u32>(0u, 8u, 16u, 24u);
     let pixels = select(select(bytes, of_three, map.bytes == 3u), of_one, map.bytes == 1u);
+    let all = vec3<u32>(255u);
     return FourColours(
-        colours(map, pixels.x),
-        colours(map, pixels.y),
-        colours(map, pixels.z),
-        colours(map, pixels.w),
+        (pixels.xxx >> map.shifts) & all,
+        (pixels.yyy >> map.shifts) & all,
+        (pixels.zzz >> map.shifts) & all,
+        (pixels.www >> map.shifts) & all,
     );
 }

@@ -34,7 +34,7 @@ impl AdapterChoice {
     /// The adapter that is meant.
     ///
     /// # Errors
-    /// [`Error::NoAdapter`] if none matches, or with [`AdapterChoice::Auto`] none gives the limits.
+    /// [`Error::NoAdapter`] if none matches, or if the choice is left to us and none gives the limits.
     pub(super) async fn find(&self) -> Result<wgpu::Adapter> {
         let found = list().await;
         let describe = |a: &wgpu::Adapter| match &lacks(&a.limits())[..] {
@@ -53,13 +53,13 @@ impl AdapterChoice {
             },
         };
         let chosen = match self {
-            AdapterChoice::Auto => found.iter().find(|a| lacks(&a.limits()).is_empty()),
-            AdapterChoice::Hardware => found.iter().find(|a| {
+            Self::Auto => found.iter().find(|a| lacks(&a.limits()).is_empty()),
+            Self::Hardware => found.iter().find(|a| {
                 let software = a.get_info().device_type == wgpu::DeviceType::Cpu;
                 !software && lacks(&a.limits()).is_empty()
             }),
-            AdapterChoice::Index(i) => found.get(*i).or_else(|| named(&found, &i.to_string())),
-            AdapterChoice::Name(part) => named(&found, part),
+            Self::Index(i) => found.get(*i).or_else(|| named(&found, &i.to_string())),
+            Self::Name(part) => named(&found, part),
         };
         chosen.cloned().ok_or_else(none)
     }

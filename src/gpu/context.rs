@@ -52,7 +52,7 @@ pub struct Gpu {
     pub(super) queue: wgpu::Queue,
     info: wgpu::AdapterInfo,
     caps: Caps,
-    options: GpuOptions,
+    pub(super) options: GpuOptions,
     loss: Loss,
     /// Whether the device is the caller's, whose handlers hear of its loss and its errors.
     foreign: bool,
@@ -146,7 +146,6 @@ impl Gpu {
         replacement: Option<shader::Replacement>,
     ) -> Arc<Self> {
         let info = device.adapter_info();
-        let checked = options.checked;
         Arc::new(Self {
             poller: Poller::new(&device, &loss),
             caps: caps(&info, device.features(), &device.limits()),
@@ -159,7 +158,7 @@ impl Gpu {
             uploads: Mutex::default(),
             turns: Mutex::default(),
             clock: Clock::default(),
-            pipelines: Pipelines::new(checked, replacement),
+            pipelines: Pipelines::new(replacement),
         })
     }
 

@@ -39,8 +39,6 @@ struct Module {
 /// A device's shaders and pipelines so far.
 #[derive(Debug)]
 pub(super) struct Pipelines {
-    /// Whether wgpu adds bounds checks.
-    checked: bool,
     /// Another text for one shader file.
     replacement: Option<shader::Replacement>,
     modules: Mutex<HashMap<(&'static str, Variant), Arc<Module>>>,
@@ -48,8 +46,8 @@ pub(super) struct Pipelines {
 }
 
 impl Pipelines {
-    pub fn new(checked: bool, replacement: Option<shader::Replacement>) -> Self {
-        Self { checked, replacement, modules: Mutex::default(), compiled: Mutex::default() }
+    pub fn new(replacement: Option<shader::Replacement>) -> Self {
+        Self { replacement, modules: Mutex::default(), compiled: Mutex::default() }
     }
 }
 
@@ -66,7 +64,7 @@ impl Gpu {
             label: Some(shader.stem),
             source: wgpu::ShaderSource::Wgsl(reflection.text.as_str().into()),
         };
-        let module = if self.pipelines.checked {
+        let module = if self.options.checked {
             self.device.create_shader_module(desc)
         } else {
             // SAFETY: the shaders are this crate's own; each index is below the sizes in its

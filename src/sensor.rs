@@ -32,8 +32,8 @@ use crate::model::PAPER_MM;
 pub const FIELD_MM: [f32; 2] = [10.0, 60.0];
 /// Millimetres a pixel: from 60 mm on 65 535 pixels to 10 mm on 16.
 const MM_PER_PIXEL: [f32; 2] = [5e-4, 1.0];
-/// Distortions of a lens that is meant to take pictures.
-const DISTORTION: [f32; 2] = [-0.5, 0.5];
+/// Distortions of a lens that is meant to take pictures; from −1/3 on they would fold back at the corners.
+const DISTORTION: [f32; 2] = [-0.3, 0.5];
 /// Greatest coefficient of a light: real ones are below 1.
 const MOST_CHANGE: f64 = 1000.0;
 /// Longest side of a frame.
@@ -128,17 +128,36 @@ pub(crate) struct View {
     /// The middle of the gel, where millimetres begin.
     pub middle: [f32; 2],
     pub mm_per_pixel: f32,
+    pub lens: Lens,
+}
+
+/// The lens that drew a frame, in the frame's pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Lens {
+    /// Where its axis meets the frame: the middle of the sensor's whole frame.
+    pub axis: [f32; 2],
+    /// Half of that frame's diagonal.
+    pub half_diagonal: f32,
+    /// See [`Sensor::distortion`].
     pub distortion: f32,
+}
+
+impl Lens {
+    /// That of a frame of this size, whose upper left corner is at `origin`.
+    fn of(origin: [f64; 2], size: [f64; 2], distortion: f32) -> Self {
+        let axis = [0, 1].map(|i| (origin[i] + size[i] / 2.0) as f32);
+        Self { axis, half_diagonal: (size[0].hypot(size[1]) / 2.0) as f32, distortion }
+    }
 }
 
 impl View {
     /// Place on the gel, in millimetres from its middle, that is seen at this place of the frame.
     pub fn place_mm(&self, place: [f32; 2]) -> [f32; 2] {
-        let [width, height] = self.frame.map(|side| side as f32);
-        let half_diagonal2 = (width * width + height * height) / 4.0;
+        let Lens { axis, half_diagonal, distortion } = self.lens;
         let straight = |[x, y]: [f32; 2]| {
-            let (x, y) = (x - width / 2.0, y - height / 2.0);
-            let stretch = 1.0 + self.distortion * (x * x + y * y) / half_diagonal2;
+            let (x, y) = (x - axis[0], y - axis[1]);
+            let r = x.hypot(y) / half_diagonal;
+            let stretch = 1.0 + distortion * r * r;
             [x * stretch, y * stretch]
         };
         let ([x, y], [x0, y0]) = (straight(place), straight(self.middle));
@@ -305,6 +324,7 @@ impl Sensor {
         let all = Rect { x: 0, y: 0, width, height };
         let mut gel = all;
         let mut mm_per_pixel = self.mm_per_pixel;
+        let mut lens = Lens::of([0.0; 2], frame.map(f64::from), self.distortion);
         if let Some([w, h]) = self.frame {
             let own = self.gel.unwrap_or(Rect { x: 0, y: 0, width: w, height: h });
             let scale = if same_shape(frame, [w, h]) {
@@ -312,7 +332,11 @@ impl Sensor {
                 gel = own.scaled(scale, frame);
                 scale[0]
             } else if same_shape(frame, [own.width, own.height]) {
-                f64::from(width) / f64::from(own.width)
+                let scale = f64::from(width) / f64::from(own.width);
+                let origin = [own.x, own.y].map(|at| -f64::from(at) * scale);
+                lens =
+                    Lens::of(origin, [w, h].map(|side| f64::from(side) * scale), self.distortion);
+                scale
             } else {
                 return Err(self.fail(format!(
                     "expected frames of the shape of {w} × {h} pixels, or of its gel's {} × {}; got \
@@ -336,8 +360,7 @@ impl Sensor {
                 part.width.max(part.height)
             )
         })?;
-        let distortion = self.distortion;
-        Ok(View { frame, part, middle: part.middle(), mm_per_pixel, distortion })
+        Ok(View { frame, part, middle: part.middle(), mm_per_pixel, lens })
     }
 }
 
@@ -351,7 +374,8 @@ pub(crate) fn assumed(frame: [u32; 2], crop: Option<Rect>) -> View {
     let gel = crop.unwrap_or(gel);
     let part = gel.central(FIELD_MM[1] / PAPER_MM);
     let mm_per_pixel = PAPER_MM / part.width.min(part.height) as f32;
-    View { frame, part, middle: gel.middle(), mm_per_pixel, distortion: 0.0 }
+    let lens = Lens::of([0.0; 2], frame.map(f64::from), 0.0);
+    View { frame, part, middle: gel.middle(), mm_per_pixel, lens }
 }
 
 /// What is assumed of a frame that cannot be the paper's when nobody named its sensor, in a line.
@@ -446,6 +470,20 @@ mod tests {
         assert!((x - 0.8 * 243.75 * 0.05).abs() < 1e-5 && (y - 0.6 * 243.75 * 0.05).abs() < 1e-5);
     }
 
+    /// A picture of the gel alone, at half the size, shows what the whole frame shows there.
+    #[test]
+    fn a_lens_bends_the_gel_alone_as_in_the_whole_frame() {
+        let text = r#"{ "name": "lens", "frame": [800, 600], "mm_per_pixel": 0.05, "distortion": -0.1,
+            "gel": { "x": 300, "y": 100, "width": 400, "height": 400 } }"#;
+        let sensor = Sensor::parse(text).expect("a sensor");
+        let whole = sensor.view([800, 600], None).expect("a view");
+        let alone = sensor.view([200, 200], None).expect("a view");
+        let (in_frame, in_gel) = (whole.place_mm([680.0, 140.0]), alone.place_mm([190.0, 20.0]));
+        for (a, b) in in_frame.into_iter().zip(in_gel) {
+            assert!((a - b).abs() < 1e-4, "{in_frame:?} {in_gel:?}");
+        }
+    }
+
     #[test]
     fn what_is_out_of_range_is_named() {
         let refused = |text: &str| Sensor::parse(text).expect_err("an error").to_string();
@@ -460,7 +498,7 @@ mod tests {
             ),
             (
                 r#"{ "name": "a", "distortion": 3 }"#,
-                "sensor `a`: distortion: expected -0.5 to 0.5, got 3",
+                "sensor `a`: distortion: expected -0.3 to 0.5, got 3",
             ),
             (
                 r#"{ "name": "a", "frame": [100, 80], "mm_per_pixel": 0.7 }"#,

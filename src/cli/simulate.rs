@@ -10,7 +10,6 @@ use smr_gpu::simulator::Error;
 use smr_gpu::simulator::conditions::{Distribution, Forced};
 use smr_gpu::simulator::dataset::{self, Progress, Settings, Step};
 use smr_gpu::simulator::distractors::Part;
-use smr_gpu::simulator::frame::Frame;
 use smr_gpu::simulator::given::Given;
 use smr_gpu::simulator::render::Request;
 use smr_gpu::simulator::scene::Mix;
@@ -67,8 +66,8 @@ pub(super) struct Args {
 
     /// Set conditions for all pictures, KEY or KEY=VALUE, separated by commas (wide conditions).
     ///
-    /// Numbers may be ranges, as in strength=2..4. mild: whatever is not set is as on the paper's
-    /// sensor. frame=paper, gelsight-mini or WIDTHxHEIGHT@MM_PER_PIXEL; scale; optics=measured or
+    /// Numbers may be ranges, as in strength=2..4. mild: the paper's frame, and whatever is
+    /// not set is drawn weakly. frame=paper, gelsight-mini or WIDTHxHEIGHT@MM_PER_PIXEL; scale; optics=measured or
     /// lamps; strength (of the shading, 1 is the paper's); shadows; colour; exposure; markers (pitch
     /// in mm); mottle; jpeg; blur; vignetting; housing; distortion; snr (dB); gel (mm);
     /// mechanics=elastic or smoothed; wall; side; cut; touching; slots; hole, bead and fillet of
@@ -96,11 +95,13 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             "--press needs --conditions plain and a snap: --kind a, b or mixed",
         ));
     }
-    if sensor.is_some() && force.frame.or(force.scale.map(|_| Frame::PAPER)).is_some() {
-        return Err(Failure::usage("--force: expected no frame or scale beside --sensor, got one"));
-    }
     let sensor = sensor.map(Given::new).transpose();
     let sensor = sensor.map_err(|e| Failure::new(Exit::Inputs, e))?.map(Arc::new);
+    if let Some(key) = sensor.as_ref().and_then(|given| given.stated(&force)) {
+        let message =
+            format!("--force: expected no {key} beside a --sensor that states it, got one");
+        return Err(Failure::usage(message));
+    }
     // A given sensor is drawn as a wide one of which little is left to chance.
     force.mild |= plain && sensor.is_some();
     let conditions = match plain && sensor.is_none() {
@@ -142,7 +143,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
 
 fn exit_of(error: &Error) -> Exit {
     match error {
-        Error::OtherDataset { .. } => Exit::Usage,
+        Error::OtherDataset { .. } | Error::NoScene { .. } => Exit::Usage,
         // The simulator reads nothing but what it wrote, and another run may write there.
         _ => Exit::Output,
     }

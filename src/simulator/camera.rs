@@ -44,14 +44,8 @@ impl Camera {
         let scale = self.distance_mm / (self.distance_mm - depth_mm) / self.frame.mm_per_pixel;
         let [width, height] = self.frame.size_px();
         let (dx, dy) = (x_mm * scale, y_mm * scale);
-        // r = r' / (1 + κ r²), by iteration: each step shrinks the error to 2 κ r² of it.
-        let mut shrink = 1.0;
-        if self.distortion != 0.0 {
-            let r2 = (dx * dx + dy * dy) * self.per_half_diagonal();
-            for _ in 0..16 {
-                shrink = 1.0 / (1.0 + self.distortion * r2 * shrink * shrink);
-            }
-        }
+        let seen = ((dx * dx + dy * dy) * self.per_half_diagonal()).sqrt();
+        let shrink = if seen > 0.0 { self.undistorted(seen) / seen } else { 1.0 };
         [dx * shrink + width / 2.0, dy * shrink + height / 2.0]
     }
 
@@ -66,6 +60,27 @@ impl Camera {
         let r2 = (x * x + y * y) / (mm * mm) * self.per_half_diagonal();
         let stretch = 1.0 + self.distortion * r2;
         [x * stretch, y * stretch]
+    }
+
+    /// The distance from the middle, in half diagonals, that shows what a pinhole would show at `seen`:
+    /// the root r of r (1 + κ r²) = `seen`, in closed form.
+    ///
+    /// A lens with κ < 0 shows nothing from further out than r = 1 / √(3 |κ|), where the picture would
+    /// fold back. What lies past that is set there, which is off the picture for κ above −1/3.
+    fn undistorted(&self, seen: f64) -> f64 {
+        let kappa = self.distortion;
+        if kappa == 0.0 {
+            return seen;
+        }
+        // With r = 2 / √(3 |κ|) sinh t, or sin t, the cubic becomes that function's of 3 t.
+        let scale = 2.0 / (3.0 * kappa.abs()).sqrt();
+        let triple = 3.0 * seen / scale;
+        scale
+            * if kappa > 0.0 {
+                (triple.asinh() / 3.0).sinh()
+            } else {
+                (triple.min(1.0).asin() / 3.0).sin()
+            }
     }
 
     /// One over the squared half diagonal, in pixels.
@@ -86,6 +101,10 @@ impl Camera {
     pub fn blur(&self, plane: &mut [f32], scratch: &mut Vec<f32>) {
         let (n, height) = (self.frame.width, self.frame.height);
         let sigma = self.blur_px;
+        // Of less a pixel's neighbours have nothing; of none there is no Gaussian.
+        if sigma < 0.05 {
+            return;
+        }
         let radius = (2.5 * sigma).ceil() as usize;
         let mut taps: Vec<f32> =
             (0..=radius).map(|i| (-0.5 * (i as f64 / sigma).powi(2)).exp() as f32).collect();

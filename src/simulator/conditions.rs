@@ -327,7 +327,7 @@ impl Span {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Forced {
-    /// Whether all that is not forced is as on the paper's sensor: frame, light and snaps.
+    /// Whether the frame is the paper's and all that is not forced is drawn weakly.
     pub mild: bool,
     /// The frame.
     pub frame: Option<Frame>,

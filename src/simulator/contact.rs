@@ -47,41 +47,20 @@ impl Contact {
 /// Presses a rigid body into the gel.
 ///
 /// `penetration` is how far the body reaches below the undeformed surface, in millimetres
-/// (negative: above it, [`NO_BODY`]: nowhere near). `start` is a first guess of the pressure, or
-/// empty.
+/// (negative: above it, [`NO_BODY`]: nowhere near).
 ///
 /// # Panics
-/// If `penetration`, or a `start` that is not empty, is not as long as the grid.
-pub fn solve(
-    elasticity: &mut Elasticity,
-    penetration: &[f32],
-    start: &[f32],
-    stop: Stop,
-) -> Contact {
+/// If `penetration` is not as long as the grid.
+pub fn solve(elasticity: &mut Elasticity, penetration: &[f32], stop: Stop) -> Contact {
     let n = elasticity.grid().cells;
     assert_eq!(penetration.len(), n * n);
     let rows: Vec<bool> =
         penetration.chunks_exact(n).map(|row| row.iter().any(|&d| d > -BULGE_MM)).collect();
     let all = vec![true; n];
-    let mut pressure = if start.is_empty() {
-        vec![0.0; n * n]
-    } else {
-        assert_eq!(start.len(), n * n);
-        start.to_vec()
-    };
+    // A stiff guess: the pressure that a spring under each cell would need.
+    let mut pressure: Vec<f32> =
+        penetration.iter().map(|&d| if d > 0.0 { 0.1 * d } else { 0.0 }).collect();
     let mut displacement = vec![0.0; n * n];
-    if start.is_empty() {
-        // A stiff guess: the pressure that a spring under each cell would need.
-        for (p, &d) in pressure.iter_mut().zip(penetration) {
-            *p = if d > 0.0 { 0.1 * d } else { 0.0 };
-        }
-    } else {
-        for (p, &d) in pressure.iter_mut().zip(penetration) {
-            if d <= -BULGE_MM {
-                *p = 0.0;
-            }
-        }
-    }
 
     let mut direction = vec![0.0f32; n * n];
     let mut response = vec![0.0f32; n * n];

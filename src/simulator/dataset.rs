@@ -11,7 +11,7 @@
 //! depends on its scene's seed and the request alone, not on threads, order or the number of
 //! pictures. Another kind of processor may round a transform otherwise and change single levels.
 
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 use std::ffi::OsStr;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, ErrorKind, Read, Write};
@@ -127,7 +127,7 @@ impl Origin {
 fn simulator(conditions: Distribution) -> u32 {
     match conditions {
         Distribution::Plain => 2,
-        Distribution::Wide => 3,
+        Distribution::Wide => 4,
     }
 }
 
@@ -282,7 +282,10 @@ fn check_origin(settings: &Settings) -> Result<bool, Error> {
     }
     if is_there(&path)? {
         let found: Origin = read_json(&path)?;
-        return if found == wanted { Ok(true) } else { Err(other(show(&found))) };
+        return match found == wanted {
+            true => Ok(true),
+            false => Err(other(show(&found) + &other_sensor(&found, &wanted))),
+        };
     }
     if is_there(&settings.out.join(ANNOTATIONS))? {
         return Err(other(format!("another program ({ANNOTATIONS})")));
@@ -390,6 +393,23 @@ fn show(origin: &Origin) -> String {
         text += &format!(", sensor {}", sensor.name);
     }
     text
+}
+
+/// In what a sensor differs from one of the same name, in words; else nothing.
+fn other_sensor(found: &Origin, wanted: &Origin) -> String {
+    let (Some(found), Some(wanted)) = (&found.sensor, &wanted.sensor) else {
+        return String::new();
+    };
+    let [found, wanted] =
+        [found, wanted].map(|sensor| serde_json::to_value(sensor).unwrap_or_default());
+    if found["name"] != wanted["name"] || found == wanted {
+        return String::new();
+    }
+    let keys = [&found, &wanted].into_iter().filter_map(|sensor| sensor.as_object());
+    let keys: BTreeSet<&String> = keys.flat_map(|fields| fields.keys()).collect();
+    let differing = keys.into_iter().filter(|key| found[key.as_str()] != wanted[key.as_str()]);
+    let differing: Vec<&str> = differing.map(String::as_str).collect();
+    format!(" with another {}", differing.join(" and "))
 }
 
 fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {

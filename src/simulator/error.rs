@@ -104,7 +104,10 @@ pub enum Error {
         held_out: f64,
     },
     /// No scene could be found that follows the rules.
-    #[error("no valid scene for seed {seed} in {attempts} attempts")]
+    #[error(
+        "expected a scene that shows all of its snaps, got none in {attempts} attempts (its seed is \
+         {seed}): what is forced may leave them no room"
+    )]
     NoScene {
         /// The scene's seed.
         seed: u64,

@@ -51,12 +51,12 @@ impl Layer {
 
 impl Layer {
     /// What maps a wave of normal displacement `w` of the free surface to the potential `q` of its
-    /// tangential displacement, `u = −∇q`: q over w, in square millimetres.
+    /// tangential displacement, `u = −∇q`: q over w, in millimetres.
     ///
-    /// `2 x² / (sinh 2x − 2x) / k²` with `x = k H`: the tangential half of the solution that
-    /// [`compliance`](Self::compliance) is the normal half of. It tends to lubrication's
-    /// `3 / (2 x k²)` for small `x`, and to 0 for large `x`: an incompressible half-space does not
-    /// move sideways under pressure.
+    /// `2 x² / (sinh 2x − 2x) / k` with `x = k H`: the tangential half of the solution that
+    /// [`compliance`](Self::compliance) is the normal half of, whose amplitude u is
+    /// `2 x² / (sinh 2x − 2x)` of w. It tends to lubrication's `3 / (2 x k)` for small `x`, and to 0
+    /// for large `x`: an incompressible half-space does not move sideways under pressure.
     pub fn sideways(&self, k: f64) -> f64 {
         let x = k.abs() * self.thickness_mm;
         if x == 0.0 {
@@ -70,7 +70,7 @@ impl Layer {
             let e = (-2.0 * x).exp();
             4.0 * x * x * e / (1.0 - e * e - 4.0 * x * e)
         };
-        numerator / (k * k)
+        numerator / k.abs()
     }
 }
 

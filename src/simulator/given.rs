@@ -87,6 +87,24 @@ impl Given {
         self.frame
     }
 
+    /// The first condition that is `forced` though the sensor states it.
+    pub fn stated(&self, forced: &Forced) -> Option<&'static str> {
+        let (light, flat) = (self.shading.is_some(), self.flat.is_some());
+        let both = [
+            ("frame", true, forced.frame.is_some()),
+            ("scale", true, forced.scale.is_some()),
+            ("distortion", true, forced.distortion.is_some()),
+            ("housing", true, forced.housing.is_some()),
+            ("optics", light, forced.optics.is_some()),
+            ("strength", light, forced.strength.is_some()),
+            ("colour", light || flat, forced.colour.is_some()),
+            ("markers", flat || self.sensor.markers.is_some(), forced.markers.is_some()),
+            ("vignetting", flat, forced.vignetting.is_some()),
+            ("mottle", flat, forced.mottle.is_some()),
+        ];
+        both.into_iter().find(|(_, stated, forced)| *stated && *forced).map(|(key, ..)| key)
+    }
+
     /// Conditions to be drawn: those that are `forced`, and what the sensor states.
     pub fn force(&self, forced: &Forced) -> Forced {
         let exactly = |value: f64| Some(Span { low: value, high: value });
@@ -112,6 +130,10 @@ impl Given {
     /// Writes the sensor's own into drawn conditions.
     pub fn state(&self, conditions: &mut Conditions) {
         conditions.window = self.window;
+        if self.shading.is_some() || self.flat.is_some() {
+            // Which channels there are is the sensor's, not drawn.
+            conditions.colour = conditions.colour.max(0.0);
+        }
         if let Some(shading) = &self.shading {
             conditions.strength = shading.contrast() / TYPICAL_CONTRAST;
         }
@@ -130,7 +152,6 @@ impl Given {
         let [width, height] = self.frame.size_px();
         if let Some(flat) = &self.flat {
             look.flat = Some(flat.clone());
-            look.grey = false;
             look.vignetting = 0.0;
         } else if self.window != [0.0, 0.0, width, height] {
             look.housing = Some(Housing {
@@ -143,6 +164,8 @@ impl Given {
         if let (Some(markers), Some(own)) = (&mut look.markers, self.sensor.markers) {
             markers.size_mm = own.diameter_mm.into();
             markers.square = false;
+            markers.jitter = 0.0;
+            markers.missing = 0.0;
         }
         if let Some(flat) = &mut look.flat {
             flat.window = self.window;

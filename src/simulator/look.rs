@@ -270,9 +270,14 @@ impl Painter {
                 }
             }
         }
-        look.coating.texture(&self.normal, &mut self.texture, &mut self.gradients);
+        // A picture of the flat gel has its coating and how evenly it is lit.
+        let drawn = look.flat.is_none();
+        if drawn {
+            look.coating.texture(&self.normal, &mut self.texture, &mut self.gradients);
+        }
         if let Light::Lamps(lamps) = &look.light {
-            self.light_lamps(lamps, &shadows, look.shadows.as_ref().map_or(0.0, |s| s.depth));
+            let depth = look.shadows.as_ref().map_or(0.0, |s| s.depth);
+            self.light_lamps(lamps, &shadows, depth, drawn);
         }
 
         let mut bytes = vec![0u8; frame.pixels() * 3];
@@ -356,8 +361,9 @@ impl Painter {
         }
     }
 
-    /// Brightness over that of flat gel in the picture's middle, for all channels, to `lit`.
-    fn light_lamps(&mut self, lamps: &Lamps, shadows: &[Surface], depth: f32) {
+    /// Brightness for all channels, to `lit`: over that of flat gel in the picture's middle where
+    /// lamps are to light it unevenly, else over that of flat gel at the same place.
+    fn light_lamps(&mut self, lamps: &Lamps, shadows: &[Surface], depth: f32, unevenly: bool) {
         let beams = lamps.beams();
         let gain = lamps.gain as f32;
         let middle = beams.lit([0.0; 2], [0.0; 2], |_| 0.0);
@@ -373,7 +379,10 @@ impl Painter {
             for channel in 0..3 {
                 let change = gain * (lit[channel] / flat[channel] - 1.0);
                 // How lamps fall off over the gel, half of it: sensors are built to be even.
-                let uneven = (flat[channel] / middle[channel]).clamp(0.2, 2.0).sqrt();
+                let uneven = match unevenly {
+                    true => (flat[channel] / middle[channel]).clamp(0.2, 2.0).sqrt(),
+                    false => 1.0,
+                };
                 self.lit[channel].push(uneven * (1.0 + change).clamp(0.02, BRIGHTEST));
             }
         }

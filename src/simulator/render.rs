@@ -95,7 +95,8 @@ pub struct Label {
     pub yaw_deg: Option<f64>,
     /// Depth of the highest point below the undeformed surface, in millimetres.
     pub depth_mm: f64,
-    /// Middle of the box in millimetres from the picture's centre, x right, y down.
+    /// Middle of the box in millimetres from the middle of the gel that the sensor's frames show, x
+    /// right, y down, on the gel: corrected for the lens.
     pub center_mm: [f64; 2],
     /// Whether the whole snap lies in the picture.
     pub whole: bool,
@@ -191,10 +192,10 @@ impl Renderer {
         let [width, height] = look.camera.frame.size_px();
         let window = [0.0, 0.0, width, height];
         let body = scene.body(GRID, look.camera.frame.size_mm());
-        let contact = solve(&mut plan.elasticity, &body.penetration, &[], STOP);
+        let contact = solve(&mut plan.elasticity, &body.penetration, STOP);
         let found = imprints(&body, &contact, GRID, &look.camera, window, scene.snaps.len());
         // What is too faint has no label.
-        let labels = labels(&scene.snaps, &found, &look.camera, window).unwrap_or_default();
+        let labels = labels(&scene.snaps, &found, &look.camera, window, window).unwrap_or_default();
         let surface = Surface::new(GRID, contact.displacement);
         let mut rng = Pcg64::seed_from_u64(noise);
         let picture = self.painter.paint(&look, &surface, None, &mut rng);
@@ -215,9 +216,10 @@ impl Renderer {
                 continue;
             }
             let body = scene.body(GRID, frame.size_mm());
-            let contact = solve(&mut plan.elasticity, &body.penetration, &[], STOP);
+            let contact = solve(&mut plan.elasticity, &body.penetration, STOP);
             let found = imprints(&body, &contact, GRID, &camera, window, scene.snaps.len());
-            let Some(labels) = labels(&scene.snaps, &found, &camera, window) else { continue };
+            let found = labels(&scene.snaps, &found, &camera, window, window);
+            let Some(labels) = found else { continue };
             let surface = Surface::new(GRID, contact.displacement);
             let look = Look::plain(&mut rng, camera);
             let picture = self.painter.paint(&look, &surface, None, &mut rng);
@@ -238,6 +240,9 @@ impl Renderer {
     ) -> Result<Rendered, Error> {
         let window = conditions.window;
         let visible = region(&frame, window);
+        // A housing that is drawn hides gel; of a given sensor the frame shows it there alone.
+        let [width, height] = frame.size_px();
+        let gel = if request.sensor.is_some() { window } else { [0.0, 0.0, width, height] };
         let field_mm = match &request.sensor {
             // A part of the frame shows gel, not always the middle one, which the grid's is.
             Some(_) => [0, 1].map(|axis| 2.0 * f64::max(-visible[axis], visible[axis + 2])),
@@ -283,11 +288,11 @@ impl Renderer {
             }
             let body = scene.body(grid, gel_mm);
             let contact = match conditions.mechanics {
-                Mechanics::Elastic => solve(&mut plan.elasticity, &body.penetration, &[], STOP),
+                Mechanics::Elastic => solve(&mut plan.elasticity, &body.penetration, STOP),
                 Mechanics::Smoothed => smooth::pressed(grid, &body.penetration, falloff_mm),
             };
             let found = imprints(&body, &contact, grid, &camera, window, scene.snaps.len());
-            let Some(labels) = labels(&scene.snaps, &found, &camera, window) else { continue };
+            let Some(labels) = labels(&scene.snaps, &found, &camera, window, gel) else { continue };
             let mut look = Look::wide(sensor, camera, &conditions);
             if let Some(given) = &request.sensor {
                 given.dress(&mut look);
@@ -371,17 +376,18 @@ fn plain_conditions(look: &Look, layer: Layer, window: PixelBox) -> Conditions {
     }
 }
 
-/// Labels of all snaps, or `None` if one is not to be seen.
+/// Labels of all snaps, or `None` if one is not to be seen; millimetres begin in the middle of `gel`.
 fn labels(
     snaps: &[Placed<Snap>],
     found: &[Option<Imprint>],
     camera: &Camera,
     window: PixelBox,
+    gel: PixelBox,
 ) -> Option<Vec<Label>> {
     snaps
         .iter()
         .zip(found)
-        .map(|(snap, imprint)| label(snap, (*imprint)?, camera, window))
+        .map(|(snap, imprint)| label(snap, (*imprint)?, camera, window, gel))
         .collect()
 }
 
@@ -390,12 +396,15 @@ fn label(
     imprint: Imprint,
     camera: &Camera,
     window: PixelBox,
+    gel: PixelBox,
 ) -> Option<Label> {
     let [x0, y0, x1, y1] = imprint.pixel_box;
     if (x1 - x0).max(y1 - y0) < LEAST_IMPRINT_MM / camera.frame.mm_per_pixel {
         return None;
     }
     let visible = visible_share(snap, camera, window);
+    let place = |[x0, y0, x1, y1]: PixelBox| camera.flat_place(0.5 * (x0 + x1), 0.5 * (y0 + y1));
+    let ([x, y], [x_gel, y_gel]) = (place(imprint.pixel_box), place(gel));
     let (hook, stud) = match &snap.part {
         Snap::Hook(hook) => (Some(hook), None),
         Snap::Stud(stud) => (None, Some(stud)),
@@ -406,7 +415,7 @@ fn label(
         area_px: imprint.area_px,
         yaw_deg: hook.map(|_| snap.yaw.to_degrees()),
         depth_mm: snap.depth_mm,
-        center_mm: camera.frame.to_mm([0.5 * (x0 + x1), 0.5 * (y0 + y1)]),
+        center_mm: [x - x_gel, y - y_gel],
         whole: visible == 1.0,
         visible,
         slots: stud.map(|stud| stud.slots),

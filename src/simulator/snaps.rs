@@ -13,7 +13,7 @@ use rand::RngExt;
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
-use super::conditions::Forced;
+use super::conditions::{Forced, Span};
 use super::profile::{rectangle, rounded_edge, smooth_min};
 
 /// A kind of snap joint.
@@ -261,10 +261,17 @@ impl Stud {
         }
     }
 
-    fn sample_wide(rng: &mut Pcg64, area: f64, slots: Option<u32>, hole: Option<f64>) -> Self {
+    fn sample_wide(
+        rng: &mut Pcg64,
+        area: f64,
+        slots: Option<u32>,
+        hole: Option<f64>,
+        bead: Option<Span>,
+    ) -> Self {
         let oval = if rng.random_bool(0.5) { rng.random_range(1.0..1.5) } else { 1.0 };
         let diameter = (4.0 / std::f64::consts::PI * area * oval).sqrt();
-        let bead = rng.random_range(0.2..0.5);
+        let drawn = rng.random_range(0.2..0.5);
+        let bead = bead.map_or(drawn, |span| span.sample(rng));
         // Across the oval, where the hole is narrowest.
         let narrow = diameter / oval;
         let wall = match hole {
@@ -300,14 +307,12 @@ impl Stud {
     /// The same ring without slots.
     pub fn unslotted(rng: &mut Pcg64, forced: &Forced) -> Self {
         let area = rng.random_range(14.0..60.0);
-        Self { slots: 0, ..Self::sample_wide(rng, area, Some(2), None) }.edged(rng, forced)
+        Self { slots: 0, ..Self::sample_wide(rng, area, Some(2), None, forced.bead) }
+            .edged(rng, forced)
     }
 
-    /// With the bead and the edges that are forced; an edge is at most round.
+    /// With the edges that are forced; an edge is at most round.
     fn edged(mut self, rng: &mut Pcg64, forced: &Forced) -> Self {
-        if let Some(bead) = forced.bead {
-            self.bead = bead.sample(rng);
-        }
         if let Some(fillet) = forced.fillet {
             self.fillet = fillet.sample(rng).min((self.wall + self.bead) / 2.0);
         }
@@ -382,7 +387,8 @@ impl Snap {
             Kind::B => {
                 let slots = forced.slots.map(|span| span.sample(rng).round() as u32);
                 let hole = forced.hole.map(|span| span.sample(rng));
-                Self::Stud(Stud::sample_wide(rng, area, slots, hole).edged(rng, forced))
+                let stud = Stud::sample_wide(rng, area, slots, hole, forced.bead);
+                Self::Stud(stud.edged(rng, forced))
             }
         }
     }

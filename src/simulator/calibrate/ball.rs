@@ -55,7 +55,7 @@ fn surface(ball_mm: f64, contact_mm: f64) -> Surface {
                 }
             }
         }
-        let contact = solve(&mut elasticity, &body, &[], STOP);
+        let contact = solve(&mut elasticity, &body, STOP);
         let cells = contact.pressure.iter().filter(|p| **p > 0.0).count() as f64;
         let radius = (cells / std::f64::consts::PI).sqrt() * grid.spacing_mm;
         (radius, contact)

@@ -302,8 +302,14 @@ fn read_presses(folder: &Path, path: &Path, background: &RgbImage) -> Result<Vec
         found: found.to_owned(),
     };
     let mut presses = Vec::new();
-    for line in text.lines().skip(1).filter(|line| !line.is_empty()) {
-        let wanted = "file,center_x_px,center_y_px,contact_radius_px";
+    let wanted = "file,center_x_px,center_y_px,contact_radius_px";
+    let mut lines = text.lines();
+    // A table without its header would lose its first press.
+    let header = lines.next().unwrap_or_default();
+    if header.trim() != wanted {
+        return Err(bad(path, &format!("the header {wanted}"), header));
+    }
+    for line in lines.filter(|line| !line.is_empty()) {
         let fields: Vec<&str> = line.split(',').collect();
         let [file, x, y, radius] = fields[..] else {
             return Err(bad(path, wanted, line));

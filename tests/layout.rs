@@ -1,4 +1,4 @@
-//! The layout of the sources and the shaders' limits: an operation is one stem in four places.
+//! The layout of the sources and the shaders' limits: an operation is one stem in five places.
 
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -2,18 +2,18 @@
 
 use serde::Serialize;
 use smr_gpu::gpu::{Gpu, GpuOptions};
-use smr_gpu::{Device, GpuDetector};
+use smr_gpu::{Device, GpuDetector, Scene};
 
-use super::detector::{DetectorArgs, gpu_only};
+use super::detector::{AdapterArgs, NetworkArgs};
 use super::exit::{Exit, Failure};
 use super::output::{json_line, line, tell};
 
 /// Time every command of the network on an adapter
 ///
-/// Prints for each dispatch and copy its time, the best of several runs, with the bytes that its
-/// operation must read and write and its multiply-adds, and what share of the adapter's own measured
-/// rates that is. Each command is timed in a pass of its own, so that all together take longer than a
-/// detection.
+/// Prints for each stage, with --ops for each dispatch and copy, its time, the best of several runs, with
+/// the bytes that its operations must read and write and their multiply-adds, and what share of the
+/// adapter's own measured rates that is. Each command is timed in a pass of its own, so that all together
+/// take longer than a detection.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// A line for each command; without it one for each stage.
@@ -31,7 +31,10 @@ pub(super) struct Args {
     json: bool,
 
     #[command(flatten)]
-    detector: DetectorArgs,
+    network: NetworkArgs,
+
+    #[command(flatten)]
+    device: AdapterArgs,
 }
 
 #[derive(Debug, Default, Serialize)]
@@ -48,8 +51,8 @@ struct Record {
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    let mut config = args.detector.config()?;
-    let adapter = gpu_only(&config.device)?.clone();
+    let mut config = args.network.config(Scene::FULL)?;
+    let adapter = args.device.choice()?;
     let gpu = pollster::block_on(Gpu::open(GpuOptions { adapter, ..GpuOptions::default() }))?;
     config.device = Device::Reference;
     let runs = args.runs.into();

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use serde::Serialize;
-use smr_gpu::{Comparison, Device, Frame, GpuDetector};
+use smr_gpu::{Comparison, Device, Frame, GpuDetector, Scene};
 
-use super::detector::{DetectorArgs, fraction, gpu_only};
+use super::detector::{AdapterArgs, NetworkArgs, fraction};
 use super::exit::{Exit, Failure};
 use super::output::{count, json_line, line, tell};
 use super::picture;
@@ -34,7 +34,10 @@ pub(super) struct Args {
     conf: f32,
 
     #[command(flatten)]
-    detector: DetectorArgs,
+    network: NetworkArgs,
+
+    #[command(flatten)]
+    device: AdapterArgs,
 }
 
 /// One picture's comparison, as `--json` prints it. An infinite number is null.
@@ -65,8 +68,8 @@ struct Stage<'a> {
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let (sources, mut exit) = expand_all(&args.sources)?;
-    let mut config = args.detector.config()?;
-    config.device = Device::Gpu(gpu_only(&config.device)?.clone());
+    let mut config = args.network.config(Scene::FULL)?;
+    config.device = Device::Gpu(args.device.choice()?);
     if sources.is_empty() {
         return Ok(exit);
     }

@@ -62,7 +62,7 @@ pub(super) struct Args {
 
     /// Run as the table says that `smr-gpu tradeoff` wrote, on whole pictures: the fastest configuration within
     /// --max-shift-mm, or with --min-iou. Refused where adapter, driver or weights are not the table's.
-    #[arg(long, value_name = "JSON", conflicts_with_all = ["weights", "size", "device", "precision"])]
+    #[arg(long, value_name = "JSON", conflicts_with_all = ["weights", "size", "device", "precision", "leave_out"])]
     tradeoff: Option<PathBuf>,
 
     /// With --tradeoff: nineteen of twenty boxes are within so many millimetres of the base's.

@@ -31,9 +31,18 @@ pub(super) struct DeviceArgs {
     pub device: Device,
 }
 
-/// Which network finds snaps, and where it runs.
+/// The adapter of a command that only a GPU can run.
 #[derive(Debug, clap::Args)]
-pub(super) struct DetectorArgs {
+pub(super) struct AdapterArgs {
+    /// `auto` for the best adapter, be it software; its index in `smr-gpu devices`, or part of its name.
+    #[arg(long, default_value = "auto", value_name = "auto|INDEX|NAME")]
+    #[arg(allow_negative_numbers = true)]
+    device: Device,
+}
+
+/// Which network finds snaps, and in what pictures.
+#[derive(Debug, clap::Args)]
+pub(super) struct NetworkArgs {
     /// `large`, the paper's network; `small`, with an eighth of its multiply-adds; or a weight file
     /// [default: $SMR_GPU_WEIGHTS, else `large`]. The named ones are looked for in this folder, then
     /// beside the program.
@@ -66,6 +75,18 @@ pub(super) struct DetectorArgs {
     #[arg(long, value_name = "f32|f16")]
     precision: Option<Precision>,
 
+    /// Longest wait for one picture on a GPU, in seconds.
+    #[arg(long, default_value = "120", value_name = "SECONDS", value_parser = seconds)]
+    #[arg(allow_negative_numbers = true)]
+    timeout: Duration,
+}
+
+/// A network, what it may leave out, and where it runs.
+#[derive(Debug, clap::Args)]
+pub(super) struct DetectorArgs {
+    #[command(flatten)]
+    network: NetworkArgs,
+
     /// What may be left out where a picture does not need it, separated by commas: `contact`, the
     /// network where nothing touches the gel; `regions`, the gel round what touches it;
     /// `proposals`, places that are hardly a snap; `scales`, the deepest of the network's three scales.
@@ -76,11 +97,6 @@ pub(super) struct DetectorArgs {
     /// Leave nothing out.
     #[arg(long, conflicts_with = "leave_out")]
     exact: bool,
-
-    /// Longest wait for one picture on a GPU, in seconds.
-    #[arg(long, default_value = "120", value_name = "SECONDS", value_parser = seconds)]
-    #[arg(allow_negative_numbers = true)]
-    timeout: Duration,
 
     #[command(flatten)]
     device: DeviceArgs,
@@ -144,7 +160,28 @@ pub(super) fn fraction(text: &str) -> Result<f32, String> {
     if (0.0..=1.0).contains(&value) { Ok(value) } else { Err(expected()) }
 }
 
-impl DetectorArgs {
+impl AdapterArgs {
+    /// The adapter.
+    ///
+    /// # Errors
+    /// [`Exit::Usage`] for the CPU.
+    pub fn choice(&self) -> Result<AdapterChoice, Failure> {
+        match &self.device {
+            Device::Gpu(choice) => Ok(choice.clone()),
+            Device::Auto => Ok(AdapterChoice::Auto),
+            Device::Cpu | Device::Reference => {
+                Err(Failure::usage("--device: expected a GPU, be it software, got the CPU"))
+            }
+        }
+    }
+}
+
+impl NetworkArgs {
+    /// Whether the options say how large what a picture shows is.
+    pub fn states_scale(&self) -> bool {
+        self.sensor.is_some() || self.mm_per_pixel.is_some()
+    }
+
     /// The sensor that the options name.
     ///
     /// # Errors
@@ -157,6 +194,45 @@ impl DetectorArgs {
             Ok(()) => Ok(Some(sensor)),
             Err(e) => Err(Failure::usage(format!("--mm-per-pixel: {e}"))),
         }
+    }
+
+    /// The library's configuration for these options, on whatever device.
+    ///
+    /// # Errors
+    /// [`Exit::Weights`] if there is no weight file, [`Exit::Inputs`] if the sensor's reference frame cannot
+    /// be read.
+    pub fn config(&self, scene: Scene) -> Result<Config, Failure> {
+        let mut config = Config::new(weight_file(self.weights.as_deref())?);
+        config.iou = self.iou;
+        config.input_size = self.size;
+        config.sensor = self.sensor()?;
+        config.scene = scene;
+        let reference = config.sensor.as_ref().and_then(|sensor| sensor.reference.clone());
+        if let Some(file) = reference.filter(|_| config.scene.looks()) {
+            let named = format!("--sensor: reference {}", file.display());
+            let failed = |e| Failure::new(Exit::Inputs, format!("{named}: {e}"));
+            let picture = picture::read(&file).map_err(failed)?.into_rgb8();
+            let (width, height) = picture.dimensions();
+            let frames = config.sensor.as_ref().and_then(|sensor| sensor.frame);
+            if let Some([w, h]) = frames.filter(|frame| *frame != [width, height]) {
+                return Err(Failure::usage(format!(
+                    "{named}: expected {w} × {h} pixels as the sensor's frames, got {width} × {height}"
+                )));
+            }
+            let frame = Frame::new(picture.into_raw(), width, height, PixelFormat::Rgb8);
+            config = config.reference(frame);
+        }
+        config.timeout = self.timeout;
+        config.precision = self.precision.unwrap_or_default();
+        config.choices = tune::folder();
+        Ok(config)
+    }
+}
+
+impl DetectorArgs {
+    /// See [`NetworkArgs::states_scale`].
+    pub fn states_scale(&self) -> bool {
+        self.network.states_scale()
     }
 
     /// What may be left out.
@@ -178,33 +254,10 @@ impl DetectorArgs {
     /// The library's configuration for these options.
     ///
     /// # Errors
-    /// [`Exit::Weights`] if there is no weight file, [`Exit::Inputs`] if the sensor's reference frame cannot
-    /// be read.
+    /// See [`NetworkArgs::config`].
     pub fn config(&self) -> Result<Config, Failure> {
-        let mut config = Config::new(weight_file(self.weights.as_deref())?);
-        config.iou = self.iou;
-        config.input_size = self.size;
-        config.sensor = self.sensor()?;
-        config.scene = self.scene();
-        let reference = config.sensor.as_ref().and_then(|sensor| sensor.reference.clone());
-        if let Some(file) = reference.filter(|_| config.scene.looks()) {
-            let named = format!("--sensor: reference {}", file.display());
-            let failed = |e| Failure::new(Exit::Inputs, format!("{named}: {e}"));
-            let picture = picture::read(&file).map_err(failed)?.into_rgb8();
-            let (width, height) = picture.dimensions();
-            let frames = config.sensor.as_ref().and_then(|sensor| sensor.frame);
-            if let Some([w, h]) = frames.filter(|frame| *frame != [width, height]) {
-                return Err(Failure::usage(format!(
-                    "{named}: expected {w} × {h} pixels as the sensor's frames, got {width} × {height}"
-                )));
-            }
-            let frame = Frame::new(picture.into_raw(), width, height, PixelFormat::Rgb8);
-            config = config.reference(frame);
-        }
-        config.timeout = self.timeout;
-        config.precision = self.precision.unwrap_or_default();
+        let mut config = self.network.config(self.scene())?;
         config.device = self.device.device.clone();
-        config.choices = tune::folder();
         Ok(config)
     }
 }
@@ -232,21 +285,6 @@ pub(super) fn open_gpu(device: &Device) -> Result<Option<Arc<Gpu>>, Failure> {
     match pollster::block_on(Gpu::open(GpuOptions { adapter, ..GpuOptions::default() })) {
         Err(Error::NoAdapter { .. }) if *device == Device::Auto => Ok(None),
         other => Ok(Some(other?)),
-    }
-}
-
-/// The adapter for a command that holds a GPU to the CPU's reference.
-///
-/// # Errors
-/// [`Exit::Usage`] for the CPU itself.
-pub(super) fn gpu_only(device: &Device) -> Result<&AdapterChoice, Failure> {
-    match device {
-        Device::Gpu(choice) => Ok(choice),
-        // Where there is no hardware, a software adapter is what can be held to it.
-        Device::Auto => Ok(&AdapterChoice::Auto),
-        Device::Cpu | Device::Reference => {
-            Err(Failure::usage("--device: expected a GPU to hold to the reference, got the CPU"))
-        }
     }
 }
 

@@ -7,9 +7,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 use smr_gpu::files::Outputs;
 use smr_gpu::gpu::{Gpu, GpuOptions};
 use smr_gpu::tune::Place;
-use smr_gpu::{Device, GpuDetector};
+use smr_gpu::{Device, GpuDetector, Scene};
 
-use super::detector::{DetectorArgs, gpu_only};
+use super::detector::{AdapterArgs, NetworkArgs};
 use super::exit::{Exit, Failure};
 use super::output::{line, tell};
 
@@ -32,12 +32,15 @@ pub(super) struct Args {
     out: Option<PathBuf>,
 
     #[command(flatten)]
-    detector: DetectorArgs,
+    network: NetworkArgs,
+
+    #[command(flatten)]
+    device: AdapterArgs,
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    let mut config = args.detector.config()?;
-    let adapter = gpu_only(&config.device)?.clone();
+    let mut config = args.network.config(Scene::FULL)?;
+    let adapter = args.device.choice()?;
     let gpu = pollster::block_on(Gpu::open(GpuOptions { adapter, ..GpuOptions::default() }))?;
     config.device = Device::Reference;
     let detector = GpuDetector::new(config)?;

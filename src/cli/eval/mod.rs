@@ -43,8 +43,8 @@ pub(super) struct Args {
     #[arg(long, value_name = "DIR", required = true, num_args = 1..)]
     data: Vec<PathBuf>,
 
-    /// Best boxes, errors and false alarms are of detections with a score above this (0 to 1).
-    /// Average precision and calibration look at all above 0.05.
+    /// Best boxes, errors, their stated deviations and false alarms are of detections with a score above
+    /// this (0 to 1). Average precision and the calibration of scores look at all above 0.05.
     #[arg(long, default_value_t = 0.5, value_name = "SCORE", value_parser = fraction)]
     conf: f32,
 
@@ -57,7 +57,8 @@ pub(super) struct Args {
     #[arg(long)]
     paper: bool,
 
-    /// Take no notice of the scale that the labels state for a picture.
+    /// Take no notice of the scale that the labels state for a picture, as with --sensor and
+    /// --mm-per-pixel.
     #[arg(long)]
     unstated: bool,
 
@@ -198,8 +199,10 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         failed: 0,
         seconds: 0.0,
     };
+    // What the options say of the scale goes before what labels say.
+    let unstated = args.unstated || args.detector.states_scale();
     for (number, (name, pictures)) in labels.iter().enumerate() {
-        let set = look_at(&detector, name, pictures, args.unstated, &progress)?;
+        let set = look_at(&detector, name, pictures, unstated, &progress)?;
         if let Some(gallery) = &mut gallery {
             let looked_at = set.places.iter().map(|place| &pictures[*place]).zip(&set.seen);
             let sheet = sheet::worst(&looked_at.collect::<Vec<_>>(), &classes, args.conf);

@@ -17,7 +17,7 @@ use smr_gpu::{Config, Device};
 pub(super) use peak::{Args as PeakArgs, run as run_peak};
 pub(super) use setups::configured;
 
-use super::detector::{DeviceArgs, fraction, open_gpu};
+use super::detector::{fraction, open_gpu};
 use super::eval::read_labels;
 use super::exit::{Exit, Failure};
 use super::output::{line, tell};
@@ -26,7 +26,7 @@ use super::output::{line, tell};
 ///
 /// Runs each configuration on the same pictures, one after the other in turn, so that all meet the same
 /// machine: first those that differ from the base by one thing (network, size of the input, device,
-/// kernels, pictures at a time), then combinations of what was best. Writes tradeoff.json,
+/// precision, kernels, pictures at a time), then combinations of what was best. Writes tradeoff.json,
 /// tradeoff.csv, tradeoff.md, tradeoff.png and tradeoff.svg. The last line recommends a configuration;
 /// `smr-gpu detect --tradeoff tradeoff.json` uses it. Ctrl-C keeps what was measured.
 #[derive(Debug, clap::Args)]
@@ -68,9 +68,11 @@ pub(super) struct Args {
     #[arg(long, value_name = "IOU", value_parser = fraction)]
     min_iou: Option<f32>,
 
-    /// The adapter to measure beside the CPU.
-    #[command(flatten)]
-    device: DeviceArgs,
+    /// The adapter to measure beside the CPU: `auto` for the best, be it software; its index in
+    /// `smr-gpu devices`, or part of its name; `cpu` for none.
+    #[arg(long, default_value = "auto", value_name = "auto|INDEX|NAME|cpu")]
+    #[arg(allow_negative_numbers = true)]
+    device: Device,
 }
 
 /// Boxes that count have a score above this.
@@ -97,11 +99,11 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     outputs.check_all(extensions.map(file))?;
 
     let weights = setups::weights(&args.weights)?;
-    let gpu = match &args.device.device {
+    let gpu = match &args.device {
         Device::Auto => open_gpu(&"gpu".parse::<Device>()?).ok().flatten(),
         device => open_gpu(device)?,
     };
-    let gpu = gpu.map(|gpu| (gpu, args.device.device.clone()));
+    let gpu = gpu.map(|gpu| (gpu, args.device.clone()));
     let classes = classes_of(&weights[0].1)?;
     let mut pictures = read_labels(&args.data, &classes)?;
     pictures.truncate(args.limit as usize);

@@ -33,7 +33,7 @@
 //! | `cli` (default) | the program `smr-gpu`; with all of the others |
 //!
 //! # Architecture
-//! Imports run one way, from top to bottom:
+//! From what all else uses to what uses all else:
 //!
 //! | module | what it holds |
 //! |---|---|
@@ -41,9 +41,13 @@
 //! | [`precision`] | how numbers are stored on a GPU: f32 or f16 |
 //! | [`files`] | reading files that are files, of a size looked at first; writing them whole or not at all |
 //! | [`cpu`] | the reference of each operation: from its definition, with f64 sums |
-//! | [`gpu`] | the device, shaders and their reflection, recordings, plans; alone to name wgpu |
-//! | [`ops`] | each operation: parameters, shape check, dispatches, error bound, cases |
+//! | [`ops`] | each operation: parameters, shape check, error bound, cases |
 //! | [`graph`] | operations over named tensors, recorded for the GPU or walked on the CPU |
+//! | [`shader`] | WGSL put together from its parts, checked and reflected by naga |
+//! | [`kernels`], [`lower`] | each operation's kernels and their dispatches; the kernels chosen for a graph |
+//! | [`gpu`] | the device, pipelines, memory, recordings, plans; alone to name wgpu |
+//! | [`profile`], [`tune`] | where a graph's time goes on a device; which kernels are fastest on it |
+//! | [`check`] | each kernel on a device against its reference, case by case |
 //! | [`host`] | the graph in f32 on this machine's CPU, for machines without an adapter |
 //! | [`model`] | SMR-Net's stages, its configuration and its weights |
 //! | [`comparison`] | the whole network on a device, by operation and by outcome, against the reference |
@@ -52,8 +56,8 @@
 //! | [`detector`] | [`GpuDetector`] |
 //! | [`picture`] | pictures from files that nobody vouches for |
 //! | [`simulator`] | the simulated sensor: gel, contact, optics, camera, snaps |
-//! | [`coco`] | labelled pictures from COCO annotations |
 //! | [`metrics`] | intersection over union, average precision, centre error |
+//! | [`coco`] | labelled pictures from COCO annotations |
 //! | [`evaluation`] | figures with their intervals, by condition; calibration of scores and deviations |
 //! | [`tradeoff`] | error against run time, and which way to run a network to choose |
 //!

@@ -78,8 +78,9 @@ def photometric(x: Tensor, rng: np.random.Generator) -> Tensor:
         if rng.random() < strength[i]:
             x[i] = _one(x[i], rng, height, width)
     noise = torch.randn(x.shape, generator=torch.Generator().manual_seed(int(rng.integers(2**31))))
-    grain = rng.uniform(0, 1, (batch, 1, 1, 1)) ** 4 * 0.03
-    return (x + noise * torch.from_numpy(grain.astype(np.float32))).clamp(0, 1)
+    # Less where there is less light: it would hide what a dark picture shows.
+    grain = torch.from_numpy((rng.uniform(0, 1, (batch, 1, 1, 1)) ** 4 * 0.06).astype(np.float32))
+    return (x + noise * grain * x.mean(dim=(1, 2, 3), keepdim=True)).clamp(0, 1)
 
 
 def _one(x: Tensor, rng: np.random.Generator, height: int, width: int) -> Tensor:

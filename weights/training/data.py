@@ -265,7 +265,8 @@ class Sampler:
     def batch(self, step: int) -> tuple[Tensor, list[dict]]:
         """Pixels [B, 3, h, w] in 0 to 255 and targets; h, w and B change from step to step, B * h * w is about `area`, or less where the views are small."""
         rng = np.random.default_rng([self.seed, step])
-        limit = 10**6 if rng.random() < WHOLE_SHARE else int(rng.choice(WINDOWS))
+        whole = rng.random() < WHOLE_SHARE
+        limit = 10**6 if whole else int(rng.choice(WINDOWS))
         first = self._draw(rng)
         window = tuple(min(whole_tiles(side), limit) for side in (first[2][::-1] if first[3] else first[2]))
         count = min(MOST_VIEWS, max(2, round(self.area / (window[0] * window[1]))))
@@ -276,7 +277,9 @@ class Sampler:
             for _ in range(50):
                 view = self._draw(rng)
                 size = view[2][::-1] if view[3] else view[2]
-                filled = min(whole_tiles(side) / wanted for side, wanted in zip(size, window))
+                ratios = [whole_tiles(side) / wanted for side, wanted in zip(size, window)]
+                # Beside a whole picture others that are as nearly whole in its window.
+                filled = min(min(r, 1 / r) for r in ratios) if whole else min(ratios)
                 if filled > best_filled:
                     best, best_filled = view, filled
                 if filled >= 1:

@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 import weightfile
-from data import Chunk
+from data import JITTER, Chunk
 from model import NETWORKS, Config, SmrNet, Variant
 from train import recompute_statistics
 
@@ -39,7 +39,7 @@ def main() -> None:
     source.add_argument("--random", type=int, metavar="SEED", help="no training: random weights from this seed")
     parser.add_argument("--student", action="store_true", help="the network that learnt beside the other")
     parser.add_argument("--network", choices=NETWORKS, default="large", help="of random weights")
-    parser.add_argument("--statistics", nargs="+", type=Path, default=[], help="COCO folders: batch norm statistics from 400 of their pictures, for a run that has not ended")
+    parser.add_argument("--statistics", nargs="+", type=Path, default=[], help="COCO folders: batch norm statistics from batches of their pictures, for a run that has not ended")
     parser.add_argument("--no-safe", action="store_true")
     parser.add_argument("--no-msff", action="store_true")
     parser.add_argument("--no-rw", action="store_true")
@@ -51,8 +51,8 @@ def main() -> None:
         model = SmrNet(Config.from_dict(json.loads(learner["config"])))
         model.load_state_dict(learner["ema"])
         if args.statistics:
-            chunks = [Chunk(folder, model.config.pixels_per_mm, args.checkpoint.parent / "cache") for folder in args.statistics]
-            recompute_statistics(model.to(memory_format=torch.channels_last), chunks, 400, 1)
+            chunks = [Chunk(folder, model.config.pixels_per_mm * JITTER, args.checkpoint.parent / "cache") for folder in args.statistics]
+            recompute_statistics(model.to(memory_format=torch.channels_last), chunks, 1)
         print(f"step {state['step']}, {state['seen']} pictures seen, {state['seconds'] / 60:.1f} min")
     else:
         variant = Variant(safe=not args.no_safe, msff=not args.no_msff, rw=not args.no_rw)

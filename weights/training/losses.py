@@ -17,6 +17,10 @@ from model import Heads, SmrNet, autocast, propose
 
 ROIS = 64  # a picture, a quarter of them positive
 ANCHORS = 256  # a picture, half of them positive
+NEARLY = 0.9  # of a truth's best overlap with an anchor
+# A region that overlaps with a truth by 0.5 shows it, one by less than this does not; what lies between
+# teaches nothing, where a hook that is hard to see would be taught to be background.
+BACKGROUND = 0.4
 
 
 def _on_ignored(boxes: Tensor, ignored: Tensor) -> Tensor:
@@ -38,15 +42,16 @@ def _sample(positive: Tensor, negative: Tensor, count: int, fraction: float) -> 
 
 
 def match_anchors(anchors: Tensor, truth: Tensor, ignored: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Positive and negative masks, and each anchor's truth; 0.7 / 0.3 and each truth's best anchors."""
+    """Positive and negative masks, and each anchor's truth; 0.7 / 0.3 and about each truth's best anchors."""
     if not len(truth):
         none = torch.zeros(len(anchors), dtype=torch.bool, device=anchors.device)
         return none, ~none & ~_on_ignored(anchors, ignored), none.long()
     iou = ops.box_iou(anchors, truth)
     best, which = iou.max(dim=1)
     positive = best >= 0.7
-    # Low-quality matches: the best anchors of a truth, though no overlap reaches 0.7.
-    positive |= (iou == iou.amax(dim=0, keepdim=True).clamp(min=1e-6)).any(dim=1)
+    # Low-quality matches: the best anchors of a truth, or nearly, though no overlap reaches 0.7. A long
+    # hook has one or two best ones alone, too few to learn from.
+    positive |= (iou >= NEARLY * iou.amax(dim=0, keepdim=True).clamp(min=1e-6)).any(dim=1) & (best < 0.7)
     negative = (best < 0.3) & ~positive & ~_on_ignored(anchors, ignored)
     return positive, negative, which
 
@@ -91,7 +96,7 @@ def sample_rois(proposals: Tensor, target: dict) -> Rois:
         return Rois(rois, zeros.long(), rois, zeros, zeros, zeros == 0)
     best, which = ops.box_iou(rois, truth).max(dim=1)
     positive = best >= 0.5
-    negative = ~positive & ~_on_ignored(rois, target["ignored"])
+    negative = (best < BACKGROUND) & ~_on_ignored(rois, target["ignored"])
     p, n = _sample(positive, negative, ROIS, 0.25)
     picked = torch.cat([p, n])
     which = which[picked]
@@ -130,7 +135,7 @@ def pose_losses(heads: Heads, rois: Rois, pixels_per_mm: float) -> dict[str, Ten
 
 
 # In the sum; the box and class losses weigh 1. A likelihood's gradient grows as its deviation shrinks.
-WEIGHTS = {"yaw": 0.3, "centre": 0.03, "whole": 0.1}
+WEIGHTS = {"yaw": 0.1, "centre": 0.03, "whole": 0.1}
 
 
 def detection_losses(model: SmrNet, images: Tensor, targets: list[dict], distiller=None, wanted: Tensor | None = None, scales: int = 3) -> tuple[dict[str, Tensor], Tensor]:

@@ -27,7 +27,7 @@ import torch
 from torch import Tensor, nn
 
 import weightfile
-from data import CLASSES, DIRECTED, JITTER, Chunk, Sampler, network_input, normalise
+from data import CLASSES, DIRECTED, JITTER, Chunk, Sampler, normalise
 from distill import Distiller
 from losses import detection_losses
 from metrics import detect_folder, figures, line
@@ -37,6 +37,8 @@ WARMUP = 200  # steps
 LOOK_EVERY = 100  # steps between looks for new folders
 EMA_EVERY, EMA_DECAY = 4, 0.998
 # What a network takes over from another beside which it learns.
+AREA = 12 * 192 * 192  # pixels of a batch
+STATISTICS_BATCHES = 60
 SHARED = ("pixels_per_mm", "mean", "std", "anchor_sizes", "anchor_ratios")
 
 
@@ -51,21 +53,26 @@ def keep_memory() -> None:
 
 
 @torch.no_grad()
-def recompute_statistics(model: SmrNet, chunks: list[Chunk], pictures: int, seed: int) -> None:
-    """Batch norm statistics from whole pictures without augmentation."""
-    norms = [m for m in model.modules() if isinstance(m, nn.BatchNorm2d)]
-    for m in norms:
+def recompute_statistics(model: SmrNet, chunks: list[Chunk], seed: int) -> None:
+    """Batch norm statistics from batches such as training has.
+
+    Pictures one by one would leave out how they differ from each other, and give each layer an input
+    that the layers before had normalised by that picture alone."""
+    for m in norms(model):
         m.reset_running_stats()
         m.momentum = None  # a plain average
     model.train()
     device = next(model.parameters()).device
-    every = [(chunk, at) for chunk in chunks for at in range(len(chunk))]
-    for i in np.random.default_rng(seed).permutation(len(every))[:pictures]:
-        chunk, at = every[i]
-        pixels, _ = network_input(chunk.picture(at), model.config.pixels_per_mm / chunk.scales[at])
-        image = normalise(pixels, model.config.mean, model.config.std)[None]
-        model.features(image.to(device, memory_format=torch.channels_last), {})
+    sampler = Sampler(chunks, model.config.pixels_per_mm, AREA, seed)
+    for step in range(STATISTICS_BATCHES):
+        pixels, _ = sampler.batch(step)
+        images = normalise(pixels, model.config.mean, model.config.std)
+        model.features(images.to(device, memory_format=torch.channels_last), {})
     model.eval()
+
+
+def norms(model: nn.Module) -> list[nn.BatchNorm2d]:
+    return [m for m in model.modules() if isinstance(m, nn.BatchNorm2d)]
 
 
 class Learner:
@@ -289,13 +296,14 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--student-lr", type=float, default=1e-3)
     parser.add_argument("--cache", type=Path)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--area", type=int, default=12 * 192 * 192, help="pixels of a batch")
+    parser.add_argument("--area", type=int, default=AREA, help="pixels of a batch")
     parser.add_argument("--lr", type=float, default=4e-4)
     parser.add_argument("--weight-decay", type=float, default=0.02)
     parser.add_argument("--checkpoint-minutes", type=float, default=4)
     parser.add_argument("--val-minutes", type=float, default=20)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--without-deepest", type=float, default=0.0, help="share of the steps that compute nothing of conv5_x")
+    parser.add_argument("--keep-statistics", action="store_true", help="batch norm as the --init file has it: a view is then seen as in use, whatever its batch")
     parser.add_argument("--no-safe", action="store_true", help="ablation: no attention in the backbone")
     parser.add_argument("--no-msff", action="store_true", help="ablation: conv4_x alone")
     parser.add_argument("--no-rw", action="store_true", help="ablation: concatenation in place of the weights")
@@ -314,6 +322,8 @@ def arguments() -> argparse.Namespace:
         parser.error(f"{args.out} holds a run: give --resume to go on with it")
     if not args.data or not (args.steps or args.plan):
         parser.error("give --data, and --steps or --plan")
+    if args.keep_statistics and not args.init:
+        parser.error("--keep-statistics: give the --init file whose statistics they are")
     if args.init and (args.like or args.no_safe or args.no_msff or args.no_rw):
         parser.error("--init brings its own configuration")
     args.out.mkdir(parents=True, exist_ok=True)
@@ -330,6 +340,9 @@ def main() -> None:
     run.log(f"step {run.step} of {run.steps()}, {sum(p.numel() for p in run.learner.model.parameters()) / 1e6:.1f} M parameters, {run.config.to_dict()}")
     for learner in run.learners():
         learner.model.train()
+        if args.keep_statistics:
+            for m in norms(learner.model):
+                m.eval()
     saved = validated = run.seconds
     recent: list[dict] = []
     clock = time.monotonic()
@@ -352,8 +365,9 @@ def main() -> None:
             saved = run.seconds
     run.save()
     run.log(f"done: step {run.step}, {run.seconds / 60:.1f} min, {run.seen} views")
-    for learner in run.learners():
-        recompute_statistics(learner.ema, run.chunks, 400, args.seed)
+    if not args.keep_statistics:
+        for learner in run.learners():
+            recompute_statistics(learner.ema, run.chunks, args.seed)
     run.save()
     run.validate(None)
 

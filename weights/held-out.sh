@@ -28,7 +28,7 @@ snaps wide-a 19011 --kind a
 snaps wide-b 19012 --kind b
 snaps wide-mixed 19013 --kind mixed
 
-# One condition; `mild` leaves all that is not named as on the paper's sensor.
+# One condition; `mild` takes the paper's frame and draws weakly what is not named.
 snaps markers-a 19021 --kind a --force mild,markers=2
 snaps markers-b 19022 --kind b --force mild,markers=2
 snaps mottle-a 19031 --kind a --force mild,mottle=0.05

@@ -85,7 +85,7 @@ pub(super) struct NetworkArgs {
 #[derive(Debug, clap::Args)]
 pub(super) struct DetectorArgs {
     #[command(flatten)]
-    network: NetworkArgs,
+    pub network: NetworkArgs,
 
     /// What may be left out where a picture does not need it, separated by commas: `contact`, the
     /// network where nothing touches the gel; `regions`, the gel round what touches it;
@@ -230,11 +230,6 @@ impl NetworkArgs {
 }
 
 impl DetectorArgs {
-    /// See [`NetworkArgs::states_scale`].
-    pub fn states_scale(&self) -> bool {
-        self.network.states_scale()
-    }
-
     /// What may be left out.
     fn scene(&self) -> Scene {
         let has = |saving| self.leave_out.contains(&saving);

@@ -66,10 +66,10 @@ pub(super) struct Args {
 
     /// Set conditions for all pictures, KEY or KEY=VALUE, separated by commas (wide conditions).
     ///
-    /// Numbers may be ranges, as in strength=2..4. mild: the paper's frame, and whatever is
-    /// not set is drawn weakly. frame=paper, gelsight-mini or WIDTHxHEIGHT@MM_PER_PIXEL; scale; optics=measured or
-    /// lamps; strength (of the shading, 1 is the paper's); shadows; colour; exposure; markers (pitch
-    /// in mm); mottle; jpeg; blur; vignetting; housing; distortion; snr (dB); gel (mm);
+    /// Numbers may be ranges, as in strength=2..4. mild: the paper's frame, and whatever is not set
+    /// is drawn weakly. frame=paper, gelsight-mini or WIDTHxHEIGHT@MM_PER_PIXEL; scale;
+    /// optics=measured or lamps; strength (of the shading, 1 is the paper's); shadows; colour;
+    /// exposure; markers (pitch in mm); mottle; jpeg; blur; vignetting; housing; distortion; snr (dB); gel (mm);
     /// mechanics=elastic or smoothed; wall; side; cut; touching; slots; hole, bead and fillet of
     /// studs and rings (mm); depth (mm).
     #[arg(long, value_name = "KEY[=VALUE],…", default_value = "", hide_default_value = true)]

@@ -4,6 +4,7 @@ use rand::Rng;
 use rand_pcg::Pcg64;
 
 use super::frame::Frame;
+use super::smooth;
 
 /// A pinhole camera that looks at the gel through the acrylic.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -99,48 +100,7 @@ impl Camera {
 
     /// Blurs a plane of the picture, `[height][width]`, in place; edges are repeated.
     pub fn blur(&self, plane: &mut [f32], scratch: &mut Vec<f32>) {
-        let (n, height) = (self.frame.width, self.frame.height);
-        let sigma = self.blur_px;
-        // Of less a pixel's neighbours have nothing; of none there is no Gaussian.
-        if sigma < 0.05 {
-            return;
-        }
-        let radius = (2.5 * sigma).ceil() as usize;
-        let mut taps: Vec<f32> =
-            (0..=radius).map(|i| (-0.5 * (i as f64 / sigma).powi(2)).exp() as f32).collect();
-        let sum = taps[0] + 2.0 * taps[1..].iter().sum::<f32>();
-        taps.iter_mut().for_each(|t| *t /= sum);
-
-        scratch.resize(n * height, 0.0);
-        let mut padded = vec![0.0f32; n + 2 * radius];
-        for (row, out) in plane.chunks_exact(n).zip(scratch.chunks_exact_mut(n)) {
-            padded[..radius].fill(row[0]);
-            padded[radius..radius + n].copy_from_slice(row);
-            padded[radius + n..].fill(row[n - 1]);
-            for (o, &v) in out.iter_mut().zip(&padded[radius..]) {
-                *o = taps[0] * v;
-            }
-            for (i, &tap) in taps.iter().enumerate().skip(1) {
-                let left = &padded[radius - i..];
-                let right = &padded[radius + i..];
-                for ((o, &a), &b) in out.iter_mut().zip(left).zip(right) {
-                    *o += tap * (a + b);
-                }
-            }
-        }
-        for y in 0..height {
-            let out = &mut plane[y * n..(y + 1) * n];
-            for (o, &v) in out.iter_mut().zip(&scratch[y * n..]) {
-                *o = taps[0] * v;
-            }
-            for (i, &tap) in taps.iter().enumerate().skip(1) {
-                let above = &scratch[y.saturating_sub(i) * n..];
-                let below = &scratch[(y + i).min(height - 1) * n..];
-                for ((o, &a), &b) in out.iter_mut().zip(above).zip(below) {
-                    *o += tap * (a + b);
-                }
-            }
-        }
+        smooth::gaussian(self.frame.width, plane, scratch, self.blur_px, 2.5);
     }
 
     /// Adds noise to levels of 0 to 255 and rounds to 8 bits. `stride` and `offset` place the

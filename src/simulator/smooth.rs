@@ -1,4 +1,4 @@
-//! Smoothing on the contact's grid, and the relief that stands in for mechanics in some pictures.
+//! Smoothing of pictures and on the contact's grid, and the relief that stands in for mechanics in some pictures.
 
 use super::contact::Contact;
 use super::gel::Grid;
@@ -30,41 +30,47 @@ pub fn pressed(grid: Grid, penetration: &[f32], falloff_mm: f64) -> Contact {
 
 /// Blurs a field on the grid in place by a Gaussian of this standard deviation in cells.
 pub fn blur(cells: usize, field: &mut [f32], sigma: f64) {
+    gaussian(cells, field, &mut Vec::new(), sigma, 3.0);
+}
+
+/// Blurs a plane `[height][width]` in place by a Gaussian of this standard deviation in its cells, cut off
+/// at `reach` of them; edges are repeated. Less than 0.05 changes nothing.
+pub fn gaussian(width: usize, plane: &mut [f32], scratch: &mut Vec<f32>, sigma: f64, reach: f64) {
     if sigma < 0.05 {
         return;
     }
-    let n = cells;
-    let radius = (3.0 * sigma).ceil() as usize;
+    let height = plane.len() / width;
+    let radius = (reach * sigma).ceil() as usize;
     let mut taps: Vec<f32> =
         (0..=radius).map(|i| (-0.5 * (i as f64 / sigma).powi(2)).exp() as f32).collect();
     let sum = taps[0] + 2.0 * taps[1..].iter().sum::<f32>();
     taps.iter_mut().for_each(|t| *t /= sum);
-    let mut out = vec![0.0f32; n * n];
-    let mut padded = vec![0.0f32; n + 2 * radius];
-    for (row, out) in field.chunks_exact(n).zip(out.chunks_exact_mut(n)) {
+
+    scratch.resize(plane.len(), 0.0);
+    let mut padded = vec![0.0f32; width + 2 * radius];
+    for (row, out) in plane.chunks_exact(width).zip(scratch.chunks_exact_mut(width)) {
         padded[..radius].fill(row[0]);
-        padded[radius..radius + n].copy_from_slice(row);
-        padded[radius + n..].fill(row[n - 1]);
+        padded[radius..radius + width].copy_from_slice(row);
+        padded[radius + width..].fill(row[width - 1]);
         for (o, &v) in out.iter_mut().zip(&padded[radius..]) {
             *o = taps[0] * v;
         }
         for (i, &tap) in taps.iter().enumerate().skip(1) {
-            for ((o, &a), &b) in
-                out.iter_mut().zip(&padded[radius - i..]).zip(&padded[radius + i..])
-            {
+            let left = &padded[radius - i..];
+            let right = &padded[radius + i..];
+            for ((o, &a), &b) in out.iter_mut().zip(left).zip(right) {
                 *o += tap * (a + b);
             }
         }
     }
-    for y in 0..n {
-        let row = &mut field[y * n..(y + 1) * n];
-        for (o, &v) in row.iter_mut().zip(&out[y * n..]) {
+    for (y, out) in plane.chunks_exact_mut(width).enumerate() {
+        for (o, &v) in out.iter_mut().zip(&scratch[y * width..]) {
             *o = taps[0] * v;
         }
         for (i, &tap) in taps.iter().enumerate().skip(1) {
-            let above = &out[y.saturating_sub(i) * n..];
-            let below = &out[(y + i).min(n - 1) * n..];
-            for ((o, &a), &b) in row.iter_mut().zip(above).zip(below) {
+            let above = &scratch[y.saturating_sub(i) * width..];
+            let below = &scratch[(y + i).min(height - 1) * width..];
+            for ((o, &a), &b) in out.iter_mut().zip(above).zip(below) {
                 *o += tap * (a + b);
             }
         }

@@ -51,7 +51,7 @@ def match_anchors(anchors: Tensor, truth: Tensor, ignored: Tensor) -> tuple[Tens
     positive = best >= 0.7
     # Low-quality matches: the best anchors of a truth, or nearly, though no overlap reaches 0.7. A long
     # hook has one or two best ones alone, too few to learn from.
-    positive |= (iou >= NEARLY * iou.amax(dim=0, keepdim=True).clamp(min=1e-6)).any(dim=1) & (best < 0.7)
+    positive |= (iou >= NEARLY * iou.amax(dim=0, keepdim=True).clamp(min=1e-6)).any(dim=1)
     negative = (best < 0.3) & ~positive & ~_on_ignored(anchors, ignored)
     return positive, negative, which
 

@@ -36,9 +36,9 @@ from model import NETWORKS, Config, SmrNet, Variant
 WARMUP = 200  # steps
 LOOK_EVERY = 100  # steps between looks for new folders
 EMA_EVERY, EMA_DECAY = 4, 0.998
-# What a network takes over from another beside which it learns.
 AREA = 12 * 192 * 192  # pixels of a batch
 STATISTICS_BATCHES = 60
+# What a network takes over from another beside which it learns.
 SHARED = ("pixels_per_mm", "mean", "std", "anchor_sizes", "anchor_ratios")
 
 

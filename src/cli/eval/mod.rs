@@ -200,7 +200,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         seconds: 0.0,
     };
     // What the options say of the scale goes before what labels say.
-    let unstated = args.unstated || args.detector.states_scale();
+    let unstated = args.unstated || args.detector.network.states_scale();
     for (number, (name, pictures)) in labels.iter().enumerate() {
         let set = look_at(&detector, name, pictures, unstated, &progress)?;
         if let Some(gallery) = &mut gallery {

@@ -158,6 +158,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for folder in &args.folders {
         groups.push(Group::new(&folder.file_name().unwrap_or_default().to_string_lossy()));
         let data = labelled::open(folder)?;
+        eprintln!("{}: {} pictures", folder.display(), data.pictures.len().min(args.limit));
         for picture in data.pictures.iter().take(args.limit) {
             let number = ways[0].looks.len();
             let before = truths.len();

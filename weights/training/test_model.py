@@ -16,6 +16,7 @@ from torchvision.models.detection.image_list import ImageList
 import boxes as bx
 import pose
 import weightfile
+from anchors import with_ratios
 from calibrate import SHARE, fit_deviations
 from count import multiply_adds, stored_bytes
 from data import Snaps, cut, network_input, normalise, orient, read_coco, read_picture, resize_square
@@ -73,6 +74,22 @@ def anchors_and_coder() -> None:
     same("decode", bx.decode(deltas, truth, bx.ROI_WEIGHTS), coder.decode_single(deltas, truth), 1e-3)
     target = bx.decode(deltas / 4, truth, bx.RPN_WEIGHTS)
     same("encode", bx.encode(target, truth, bx.RPN_WEIGHTS), BoxCoder(bx.RPN_WEIGHTS).encode_single(target, truth), 1e-5)
+
+
+@torch.no_grad()
+def more_anchors() -> None:
+    # Ratios 0.5, 1 and 2 stay; 0.3 and 4 begin as 0.5 and 2: the same objectness for the same boxes.
+    model = random_model(Config(**NETWORKS["small"]), 6).double().eval()
+    wider = with_ratios(model, [0.3, 0.5, 1.0, 2.0, 4.0])
+    picture = torch.randn(1, 3, 96, 64, dtype=torch.float64).contiguous(memory_format=torch.channels_last)
+    found = []
+    for m in (model, wider):
+        logits, deltas, anchors = m.rpn_heads(m.features(picture, {}), {})
+        shape = (-1, len(m.config.anchor_ratios), len(m.config.anchor_sizes))
+        found.append((logits.view(shape), bx.decode(deltas[0], anchors, bx.RPN_WEIGHTS).view(*shape, 4)))
+    (logits, boxes), (more_logits, more_boxes) = found
+    same("more anchors, objectness", more_logits, logits[:, [0, 0, 1, 2, 2]])
+    same("more anchors, boxes", more_boxes, boxes[:, [0, 0, 1, 2, 2]])
 
 
 def turns() -> None:
@@ -264,11 +281,12 @@ def weight_files() -> None:
             raise AssertionError("format 3 was read")
         except ValueError as error:
             assert str(error) == "format: expected 1 or 2, got 3"
-    # Format 1: the golden tensors of the published file, made before there was another format.
+    # What format 1 leaves unsaid.
     config = {"format": 1, "input_size": 320, "mean": [0.5] * 3, "std": [0.2] * 3, "classes": ["A", "B"], "anchor_sizes": [32.0]}
     config |= {"anchor_ratios": [1.0], "variant": {"safe": True, "msff": True, "rw": True}, "mm_per_pixel": 0.04, "picture_size": 1000, "reduction": 16}
     read = Config.from_dict(config)
     assert (read.pixels_per_mm, read.pose, read.temperature, read.channels, read.blocks) == (8.0, False, 1.0, [64, 128, 256, 512], [3, 4, 6, 3])
+    # The published file against its golden tensors.
     golden = load_file(ROOT / "tests/fixtures/stages.safetensors")
     model = weightfile.load(ROOT / "weights/smrnet.safetensors", torch.float64)
     pixels, _, _ = resize_square(read_picture(ROOT / "tests/fixtures/stages.png"), 96, torch.float64)
@@ -277,7 +295,7 @@ def weight_files() -> None:
     for name in ("fusion.fused", "rpn.cls", "roi_head.cls_score", "roi_head.bbox_pred", "detections.boxes", "detections.scores"):
         got = stages[name][0] if stages[name].ndim == 4 else stages[name]
         # The goldens are rounded to float32.
-        same(f"format 1, {name}", got, golden[name].double(), 2e-7 * golden[name].abs().max().item())
+        same(f"published, {name}", got, golden[name].double(), 2e-7 * golden[name].abs().max().item())
 
 
 @torch.no_grad()
@@ -302,6 +320,7 @@ if __name__ == "__main__":
     gates()
     roi_align()
     anchors_and_coder()
+    more_anchors()
     turns()
     cuts()
     frames()

@@ -157,8 +157,15 @@ pub(crate) fn compare(
         for (i, (id, got)) in step.outputs.iter().zip(&step.wrote).enumerate() {
             let name = network.graph.name(*id);
             let (want_here, tolerance) = (&expected[i], &tolerances[i]);
-            let mut tensor =
-                TensorComparison::new(name, step.op, got, want_here, tolerance, defined[i]);
+            let mut tensor = TensorComparison::new(
+                name,
+                step.op,
+                how.precision,
+                got,
+                want_here,
+                tolerance,
+                defined[i],
+            );
             let want =
                 want.get(id).ok_or_else(|| Error::tensor("compare", name, "a value", "none"))?;
             if let (Value::F32(got), Value::F32(want)) = (got, want) {

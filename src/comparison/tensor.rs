@@ -1,6 +1,10 @@
 //! One tensor of a run: its own error, its bias, and how far the chain has drifted.
 
+use std::collections::BTreeMap;
+
 use crate::ops::op::{Op, Tolerance};
+use crate::precision::Precision;
+use crate::shape::Shape;
 use crate::tensor::Value;
 
 /// A bias of a tensor's errors counts from so many of its standard deviations. By Hoeffding's
@@ -29,10 +33,12 @@ pub struct TensorComparison {
 }
 
 impl TensorComparison {
-    /// Holds the first `defined` elements of an output of `op` to the reference's.
+    /// Holds the first `defined` elements of an output of `op` to the reference's, on a device that
+    /// stores weights in `precision`.
     pub(super) fn new(
         name: &str,
         op: &dyn Op,
+        precision: Precision,
         got: &Value,
         want: &Value,
         tolerance: &Tolerance,
@@ -56,7 +62,7 @@ impl TensorComparison {
                 first.get_or_insert((i, limit));
             }
         }
-        let bias = op.unbiased().then(|| bias(got, want, tolerance, defined)).flatten();
+        let bias = op.unbiased().then(|| bias(got, want, precision, tolerance, defined)).flatten();
         let failure = match (first, bias) {
             (Some((i, limit)), _) => {
                 let (got, want) = (got.show(i), want.show(i));
@@ -78,9 +84,29 @@ impl TensorComparison {
 /// is Σey / Σy². If each error is a rounding of its own, of mean 0 and at most b, then |Σey| is above
 /// d·√Σ(by)² with a probability of at most 2·exp(−d²/2) (Hoeffding 1963), while errors that all agree
 /// may reach Σb|y|. Neighbours that are equal to the bit, as where a picture is flat, are the same sum
-/// again and count as one.
-fn bias(got: &Value, want: &Value, tolerance: &Tolerance, defined: usize) -> Option<f64> {
+/// again and count as one. Weights in f16 were rounded once for all elements of a channel, and that is
+/// most of their error: then a channel counts as one.
+fn bias(
+    got: &Value,
+    want: &Value,
+    precision: Precision,
+    tolerance: &Tolerance,
+    defined: usize,
+) -> Option<f64> {
+    let shape = &want.spec().shape;
     let (got, want) = (got.f32().ok()?.data(), want.f32().ok()?.data());
+    let scaled_by = |sum: f64, squares: f64| {
+        if sum == 0.0 { 0.0 } else { sum.abs() / (DEVIATIONS * squares.sqrt()) }
+    };
+    if precision == Precision::F16 {
+        let (mut sum, mut channels) = (0.0, BTreeMap::<usize, f64>::new());
+        for i in 0..defined {
+            let (got, want) = (f64::from(got[i]), f64::from(want[i]));
+            sum += (got - want) * want;
+            *channels.entry(channel(shape, i)).or_default() += tolerance.limit(i) * want.abs();
+        }
+        return Some(scaled_by(sum, channels.values().map(|bound| bound * bound).sum()));
+    }
     let (mut sum, mut squares, mut run) = (0.0, 0.0, 0.0);
     let mut last = None;
     for (i, pair) in got.iter().zip(want).enumerate().take(defined) {
@@ -95,7 +121,16 @@ fn bias(got: &Value, want: &Value, tolerance: &Tolerance, defined: usize) -> Opt
         last = Some(bits);
     }
     squares += run * run;
-    Some(if sum == 0.0 { 0.0 } else { sum.abs() / (DEVIATIONS * squares.sqrt()) })
+    Some(scaled_by(sum, squares))
+}
+
+/// The channel of an element, of maps `[.., C, H, W]` or rows `[.., C]`.
+fn channel(shape: &Shape, element: usize) -> usize {
+    match shape.0[..] {
+        [.., channels, height, width] => element / (height * width) % channels,
+        [.., channels] => element % channels,
+        [] => 0,
+    }
 }
 
 /// ‖got − want‖ / ‖want‖; infinite if one is longer.
@@ -149,7 +184,15 @@ mod tests {
 
     fn compared(op: &dyn Op, got: &[f32], want: &[f32], tolerance: &Tolerance) -> TensorComparison {
         let value = |data: &[f32]| Tensor::from_fn([data.len()], |i| data[i]).into();
-        TensorComparison::new("t", op, &value(got), &value(want), tolerance, got.len())
+        TensorComparison::new(
+            "t",
+            op,
+            Precision::F32,
+            &value(got),
+            &value(want),
+            tolerance,
+            got.len(),
+        )
     }
 
     #[test]
@@ -192,5 +235,26 @@ mod tests {
         let flat = Tolerance::Each(vec![3.0 / 1024.0; 4096]);
         let one = compared(&conv, &[1.0 + 1.0 / 1024.0; 4096], &[1.0; 4096], &flat);
         assert!(one.failure.is_none() && one.bias.is_some_and(|b| b < 0.05), "{one:?}");
+    }
+
+    /// Half of the bound everywhere: of n channels that agree by chance n/2 of 7·√n.
+    #[test]
+    fn in_f16_a_channel_is_one_rounding() {
+        let bounds = |n: usize| Tolerance::Each(vec![2.0 / 1024.0; n]);
+        let off = |dims: &[usize]| {
+            let full = |v: f32| Value::from(Tensor::from_fn(Shape(dims.to_vec()), |_| v));
+            let (got, want) = (full(1.0 + 1.0 / 1024.0), full(1.0));
+            let n = dims.iter().product();
+            let conv = Conv2d::default();
+            TensorComparison::new("t", &conv, Precision::F16, &got, &want, &bounds(n), n)
+        };
+        for dims in [&[4, 8, 8][..], &[2, 4, 8, 8], &[64, 4]] {
+            let few = off(dims);
+            assert!(few.failure.is_none());
+            assert!(few.bias.is_some_and(|b| (b - 1.0 / 7.0).abs() < 1e-9), "{few:?}");
+        }
+        let many = off(&[400, 2, 2]);
+        assert!(many.bias.is_some_and(|b| (b - 10.0 / 7.0).abs() < 1e-9), "{many:?}");
+        assert!(many.failure.is_some_and(|f| f.contains("scaled")));
     }
 }

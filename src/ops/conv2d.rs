@@ -374,8 +374,8 @@ fn cases() -> Vec<Case> {
         (128, 40, 256, 3, 1, 1, 1, false, true),
         (256, 20, 256, 3, 1, 2, 2, false, true),
         (512, 10, 256, 3, 1, 2, 2, false, true),
-        (256, 40, 12, 1, 1, 0, 1, false, false),
-        (256, 40, 48, 1, 1, 0, 1, false, false),
+        (256, 40, 20, 1, 1, 0, 1, false, false),
+        (256, 40, 80, 1, 1, 0, 1, false, false),
     ];
     for (i, layer) in layers.into_iter().enumerate() {
         let (in_c, edge, out_c, kernel, stride, padding, dilation, residual, relu) = layer;

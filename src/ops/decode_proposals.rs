@@ -294,15 +294,15 @@ fn cases() -> Vec<Case> {
     ]));
     cases.extend(stiff());
     let sides = [16.0, 24.0, 32.0, 48.0].map(|s: f32| [s, s / 2.0]).concat();
-    let anchors = (0..12).map(|i| {
+    let anchors = (0..20).map(|i| {
         let [w, h] = [sides[i % 8], sides[(i + 3) % 8]];
         [-w, -h, w, h]
     });
     let rpn = DecodeProposals { anchors: anchors.collect(), stride: 8, width: 320, height: 320 };
     let inputs = vec![
-        one_way(1000, [48, 40, 40]).into(),
+        one_way(1000, [80, 40, 40]).into(),
         one_way(1001, [1000]).into(),
-        random_integers(1002, [1000], 12 * 40 * 40),
+        random_integers(1002, [1000], 20 * 40 * 40),
         count(1000),
     ];
     cases.push(Case::new("the anchors", rpn, inputs).in_network());

@@ -126,7 +126,7 @@ fn cases() -> Vec<Case> {
     ];
     // What the network looks at: class and box of each anchor, what the stages pool, the weights of the
     // scales, and of each proposal the probabilities, the deltas and the pose. In half precision 10⁶ is infinite.
-    for (seed, dims) in [(1000, [12, 40, 40]), (1001, [48, 40, 40])] {
+    for (seed, dims) in [(1000, [20, 40, 40]), (1001, [80, 40, 40])] {
         let name = format!("{} channels of the proposals", dims[0]);
         cases.push(Case::new(name, ALL, vec![random_scaled(seed, dims, 1e6)]).in_network());
     }

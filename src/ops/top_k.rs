@@ -231,7 +231,7 @@ fn cases() -> Vec<Case> {
             integers([1], &[1024]),
         ],
     ));
-    let scores = one_way(1000, [12, 40, 40]).into();
+    let scores = one_way(1000, [20, 40, 40]).into();
     cases.push(Case::new("the anchors", all(1000), vec![scores]).in_network());
     cases
 }

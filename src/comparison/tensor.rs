@@ -1,7 +1,5 @@
 //! One tensor of a run: its own error, its bias, and how far the chain has drifted.
 
-use std::collections::BTreeMap;
-
 use crate::ops::op::{Op, Tolerance};
 use crate::precision::Precision;
 use crate::shape::Shape;
@@ -95,33 +93,25 @@ fn bias(
 ) -> Option<f64> {
     let shape = &want.spec().shape;
     let (got, want) = (got.f32().ok()?.data(), want.f32().ok()?.data());
-    let scaled_by = |sum: f64, squares: f64| {
-        if sum == 0.0 { 0.0 } else { sum.abs() / (DEVIATIONS * squares.sqrt()) }
-    };
-    if precision == Precision::F16 {
-        let (mut sum, mut channels) = (0.0, BTreeMap::<usize, f64>::new());
-        for i in 0..defined {
-            let (got, want) = (f64::from(got[i]), f64::from(want[i]));
-            sum += (got - want) * want;
-            *channels.entry(channel(shape, i)).or_default() += tolerance.limit(i) * want.abs();
-        }
-        return Some(scaled_by(sum, channels.values().map(|bound| bound * bound).sum()));
-    }
-    let (mut sum, mut squares, mut run) = (0.0, 0.0, 0.0);
-    let mut last = None;
+    // Of each rounding the sum of b|y| over the elements that share it.
+    let (mut sum, mut bounds) = (0.0, Vec::<f64>::new());
+    let (mut run, mut last) = (0, None);
     for (i, pair) in got.iter().zip(want).enumerate().take(defined) {
         let bits = (pair.0.to_bits(), pair.1.to_bits());
+        run += usize::from(last.replace(bits).is_some_and(|last| last != bits));
+        let rounding = match precision {
+            Precision::F32 => run,
+            Precision::F16 => channel(shape, i),
+        };
+        if rounding >= bounds.len() {
+            bounds.resize(rounding + 1, 0.0);
+        }
         let (got, want) = (f64::from(*pair.0), f64::from(*pair.1));
         sum += (got - want) * want;
-        if last != Some(bits) {
-            squares += run * run;
-            run = 0.0;
-        }
-        run += tolerance.limit(i) * want;
-        last = Some(bits);
+        bounds[rounding] += tolerance.limit(i) * want.abs();
     }
-    squares += run * run;
-    Some(scaled_by(sum, squares))
+    let squares: f64 = bounds.iter().map(|bound| bound * bound).sum();
+    Some(if sum == 0.0 { 0.0 } else { sum.abs() / (DEVIATIONS * squares.sqrt()) })
 }
 
 /// The channel of an element, of maps `[.., C, H, W]` or rows `[.., C]`.

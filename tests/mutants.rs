@@ -806,6 +806,16 @@ const EQUIVALENT: &[(&str, &str, &str)] = &[
         "likewise",
     ),
     (
+        "shared/pixels",
+        "let last_word = arrayLength(&picture) - 0u;",
+        "no colour has bits of the word behind the picture's, and reading it is caught by bounds checks",
+    ),
+    (
+        "shared/pixels",
+        "let last_word = arrayLength(&picture) - 2u;",
+        "a case's buffer has guard words behind the picture's, which this counts too",
+    ),
+    (
         "max_pool2d/planar",
         "return (bitcast<u32>(x) & 0x7fffffffu) > 2139095041u;",
         "one signalling NaN counts as a number, which no arithmetic makes",

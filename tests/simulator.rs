@@ -1382,6 +1382,14 @@ fn conditions_are_forced_by_name() {
         // The rest is mild.
         assert!(c.strength < 1.5 && c.shadows == 0.0 && c.jpeg.is_none() && !c.housing);
     }
+    // No scale leads out of the fields that there are: four times the paper's is 10 mm, a quarter 160.
+    for (scale, mm) in
+        [("scale=4", 10.0), ("scale=0.25", 60.0), ("frame=400x300@0.05,scale=3", 10.0)]
+    {
+        let forced = format!("mild,{scale}").parse().expect("conditions");
+        let (frame, _) = Conditions::sample(&mut Pcg64::seed_from_u64(1), &forced);
+        assert_close(frame.longer_mm(), mm, 1e-9, scale);
+    }
     // What is forced is told as it is asked for.
     assert_eq!(forced.to_string().parse::<Forced>(), Ok(forced));
     let flags: Forced = "shadows,optics=lamps,cut=no,side".parse().expect("conditions");

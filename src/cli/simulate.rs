@@ -66,13 +66,40 @@ pub(super) struct Args {
 
     /// Set conditions for all pictures, KEY or KEY=VALUE, separated by commas (wide conditions).
     ///
-    /// Numbers may be ranges, as in strength=2..4. mild: the paper's frame, and whatever is not set
-    /// is drawn weakly. frame=paper, gelsight-mini or WIDTHxHEIGHT@MM_PER_PIXEL; scale;
-    /// optics=measured or lamps; strength (of the shading, 1 is the paper's); shadows; colour;
-    /// exposure; markers (pitch in mm); mottle; jpeg; blur; vignetting; housing; distortion; snr (dB); gel (mm);
-    /// mechanics=elastic or smoothed; wall; side; cut; touching; slots; hole, bead and fillet of
-    /// studs and rings (mm); depth (mm).
-    #[arg(long, value_name = "KEY[=VALUE],…", default_value = "", hide_default_value = true)]
+    /// Numbers may be ranges, as in strength=2..4; of yes and no the name alone is yes.
+    ///
+    ///   mild        the paper's frame, and whatever is not set is drawn weakly
+    ///   frame       paper, gelsight-mini or WIDTHxHEIGHT@MM_PER_PIXEL
+    ///   scale       of things beside the frame's own, as far as fields of 10 to 60 mm go
+    ///   optics      measured or lamps
+    ///   strength    of the shading; 1 is the paper's
+    ///   shadows     share of a light that its shadows take away
+    ///   colour      of the lights: 0 grey, 1 each of its own; negative: one channel
+    ///   exposure    factor on the brightness
+    ///   markers     pitch in mm
+    ///   mottle      of the coating, standard deviation
+    ///   jpeg        quality
+    ///   blur        in pixels
+    ///   vignetting  share of the light lost in the corners
+    ///   housing     at the frame's edges, yes or no
+    ///   distortion  of the lens
+    ///   snr         in dB
+    ///   gel         its thickness in mm
+    ///   mechanics   elastic or smoothed
+    ///   wall, side  hooks with one, on their side; yes or no
+    ///   cut         snaps at the picture's edge, yes or no
+    ///   touching    snaps beside other parts, yes or no
+    ///   slots       of studs
+    ///   hole        of studs, in mm
+    ///   bead, fillet  of studs and rings, in mm
+    ///   depth       of snaps, in mm
+    #[arg(
+        long,
+        value_name = "KEY[=VALUE],…",
+        default_value = "",
+        hide_default_value = true,
+        verbatim_doc_comment
+    )]
     force: Forced,
 }
 

@@ -300,7 +300,9 @@ fn sample_frame(rng: &mut Pcg64, forced: &Forced) -> Frame {
     };
     frame = forced.frame.unwrap_or(frame);
     if let Some(scale) = forced.scale {
-        frame.mm_per_pixel /= scale.sample(rng);
+        let field = frame.longer_mm() / scale.sample(rng);
+        // Where the field would pass an end of the range, it is at that end.
+        frame.mm_per_pixel = field.clamp(FIELD_MM[0], FIELD_MM[1]) / frame.longer_px() as f64;
     }
     // Four digits are more than a sensor is known by.
     frame.mm_per_pixel = (frame.mm_per_pixel * 1e5).round() / 1e5;
@@ -331,7 +333,8 @@ pub struct Forced {
     pub mild: bool,
     /// The frame.
     pub frame: Option<Frame>,
-    /// Factor on the size at which things appear, beside the frame's own scale.
+    /// Factor on the size at which things appear, beside the frame's own scale, as far as fields of
+    /// [`FIELD_MM`] go.
     pub scale: Option<Span>,
     /// See [`Conditions::strength`].
     pub strength: Option<Span>,

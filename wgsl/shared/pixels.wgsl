@@ -18,7 +18,12 @@ fn pixels() -> Pixels {
     return Pixels(crop[0], bytes, select(shifts, vec3<u32>(), format >= 4u), last_word);
 }
 
-// Red, green and blue of a pixel, from 0 to 255. Nothing is read outside the picture's buffer, whatever the
+// Red, green and blue, from 0 to 255, of the bits from a pixel's first byte on.
+fn of_bits(map: Pixels, bits: u32) -> vec3<u32> {
+    return (vec3<u32>(bits) >> map.shifts) & vec3<u32>(255u);
+}
+
+// Red, green and blue of a pixel. Nothing is read outside the picture's buffer, whatever the
 // corner says.
 fn colour(map: Pixels, at: vec2<u32>) -> vec3<u32> {
     let byte = (at.y * map.width + at.x) * map.bytes;
@@ -26,8 +31,7 @@ fn colour(map: Pixels, at: vec2<u32>) -> vec3<u32> {
     let high = picture[min(byte / 4u + 1u, map.last_word)];
     let shift = byte % 4u * 8u;
     // In two steps: no shift is by all bits.
-    let four_bytes = (low >> shift) | ((high << (24u - shift)) << 8u);
-    return (vec3<u32>(four_bytes) >> map.shifts) & vec3<u32>(255u);
+    return of_bits(map, (low >> shift) | ((high << (24u - shift)) << 8u));
 }
 
 // The colours of four pixels side by side.
@@ -62,11 +66,10 @@ fn four_colours(map: Pixels, at: vec2<u32>) -> FourColours {
     );
     let of_one = vec4<u32>(bytes.x) >> vec4<u32>(0u, 8u, 16u, 24u);
     let pixels = select(select(bytes, of_three, map.bytes == 3u), of_one, map.bytes == 1u);
-    let all = vec3<u32>(255u);
     return FourColours(
-        (pixels.xxx >> map.shifts) & all,
-        (pixels.yyy >> map.shifts) & all,
-        (pixels.zzz >> map.shifts) & all,
-        (pixels.www >> map.shifts) & all,
+        of_bits(map, pixels.x),
+        of_bits(map, pixels.y),
+        of_bits(map, pixels.z),
+        of_bits(map, pixels.w),
     );
 }

@@ -82,20 +82,35 @@ def _bin_weights(low: Tensor, high: Tensor, cells: int, bins: int, samples: int)
     return tent.view(-1, bins, samples, cells).mean(dim=2)
 
 
-def roi_align_dense(features: Tensor, boxes: list[Tensor], scale: float, bins: int = 7, samples: int = 2) -> Tensor:
-    """RoIAlign (aligned=True) as two matrix products, [sum R, C, bins, bins].
+def roi_align_dense(features: Tensor, boxes: Tensor, scale: float, bins: int = 7, samples: int = 2) -> Tensor:
+    """RoIAlign (aligned=True) of boxes [B, R, 4] as two matrix products, [B * R, C, bins, bins].
 
     Bilinear sampling is separable, so a bin is Wy * F * Wx^T. On a CPU this trains
     several times faster than torchvision.ops.roi_align, whose backward is serial;
     test_model.py holds the two to the same numbers.
     """
-    _, channels, height, width = features.shape
-    pooled = []
-    for feature, box in zip(features, boxes):
-        box = box.float() * scale - 0.5
-        wy = _bin_weights(box[:, 1], box[:, 3], height, bins, samples).to(feature.dtype)
-        wx = _bin_weights(box[:, 0], box[:, 2], width, bins, samples).to(feature.dtype)
-        rows = wy.reshape(-1, height) @ feature.permute(1, 2, 0).reshape(height, width * channels)
-        rows = rows.view(len(box), bins, width, channels)
-        pooled.append(torch.matmul(wx[:, None], rows))
-    return torch.cat(pooled).permute(0, 3, 1, 2)
+    batch, channels, height, width = features.shape
+    count = boxes.shape[1]
+    flat = boxes.reshape(-1, 4).float() * scale - 0.5
+    wy = _bin_weights(flat[:, 1], flat[:, 3], height, bins, samples).to(features.dtype)
+    wx = _bin_weights(flat[:, 0], flat[:, 2], width, bins, samples).to(features.dtype)
+    maps = features.permute(0, 2, 3, 1).reshape(batch, height, width * channels)
+    strips = torch.bmm(wy.reshape(batch, count * bins, height), maps).view(batch * count, bins, width, channels)
+    return torch.matmul(wx[:, None], strips).permute(0, 3, 1, 2)
+
+
+def area(boxes: Tensor) -> Tensor:
+    return (boxes[..., 2:] - boxes[..., :2]).prod(dim=-1)
+
+
+def intersection(a: Tensor, b: Tensor) -> Tensor:
+    """Areas [B, K, N] that boxes [B, K, 4] share with boxes [B, N, 4]."""
+    low = torch.maximum(a[:, :, None, :2], b[:, None, :, :2])
+    high = torch.minimum(a[:, :, None, 2:], b[:, None, :, 2:])
+    return (high - low).clamp(min=0).prod(dim=3)
+
+
+def iou(a: Tensor, b: Tensor) -> Tensor:
+    """torchvision.ops.box_iou of each picture: [B, K, N]."""
+    shared = intersection(a, b)
+    return shared / (area(a)[:, :, None] + area(b)[:, None, :] - shared).clamp(min=1e-6)

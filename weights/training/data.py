@@ -18,6 +18,7 @@ from PIL import Image
 from torch import Tensor
 
 from augment import jpeg, photometric
+from truth import Truth
 
 CLASSES = ("A", "B")
 DIRECTED = ("A",)
@@ -246,6 +247,19 @@ def _place(picture: np.ndarray, snaps: Snaps, room: tuple[int, int], crop: tuple
     return best[1], best[2]
 
 
+def collate(views: list[tuple[Snaps, np.ndarray]]) -> Truth:
+    """The snaps of a batch's views and what is to be ignored, padded to as many as the fullest has."""
+
+    def padded(values: list[np.ndarray], value: float) -> Tensor:
+        most = max(1, *map(len, values))
+        rest = [(0, 0)] * (values[0].ndim - 1)
+        return torch.from_numpy(np.stack([np.pad(v, [(0, most - len(v)), *rest], constant_values=value) for v in values]))
+
+    snaps, ignored = zip(*views)
+    boxes, labels, yaw, whole = (padded([getattr(s, name) for s in snaps], 0) for name in ("boxes", "labels", "yaw", "whole"))
+    return Truth(boxes, labels, yaw, whole.float(), padded(ignored, 0))
+
+
 class Sampler:
     """Batches of views. A step's batch depends on the seed and the step alone, once the folders are given."""
 
@@ -262,7 +276,7 @@ class Sampler:
         height, width = (scaled(side, scale) for side in chunk.sizes[at])
         return chunk, at, (height, width), bool(rng.random() < 0.5)
 
-    def batch(self, step: int) -> tuple[Tensor, list[dict]]:
+    def batch(self, step: int) -> tuple[Tensor, Truth]:
         """Pixels [B, 3, h, w] in 0 to 255 and targets; h, w and B change from step to step, B * h * w is about `area`, or less where the views are small."""
         rng = np.random.default_rng([self.seed, step])
         whole = rng.random() < WHOLE_SHARE
@@ -286,9 +300,9 @@ class Sampler:
                     break
             views.append(best)
         pixels, targets = zip(*(self._view(v, window, rng) for v in views))
-        return photometric(torch.stack(pixels), rng) * 255, list(targets)
+        return photometric(torch.stack(pixels) / 255, int(rng.integers(2**31))) * 255, collate(targets)
 
-    def _view(self, view: tuple, window: tuple[int, int], rng: np.random.Generator) -> tuple[Tensor, dict]:
+    def _view(self, view: tuple, window: tuple[int, int], rng: np.random.Generator) -> tuple[Tensor, tuple[Snaps, np.ndarray]]:
         chunk, at, (height, width), turned = view
         picture = chunk.picture(at)
         fx, fy = width / picture.shape[1], height / picture.shape[0]
@@ -306,11 +320,4 @@ class Sampler:
         _, none = orient(small, none, *mirrors, turned)
         small, snaps = orient(small, snaps, *mirrors, turned)
         small = np.pad(small, [(0, window[0] - small.shape[0]), (0, window[1] - small.shape[1]), (0, 0)], mode="edge")
-        target = {
-            "boxes": torch.from_numpy(snaps.boxes),
-            "labels": torch.from_numpy(snaps.labels),
-            "yaw": torch.from_numpy(snaps.yaw),
-            "whole": torch.from_numpy(snaps.whole.astype(np.float32)),
-            "ignored": torch.from_numpy(none.boxes),
-        }
-        return torch.from_numpy(np.ascontiguousarray(small)).permute(2, 0, 1).float() / 255, target
+        return torch.from_numpy(np.ascontiguousarray(small)).permute(2, 0, 1).float(), (snaps, none.boxes)

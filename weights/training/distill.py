@@ -5,6 +5,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 import boxes as bx
+from losses import Rois, mean_where, rows
 from model import Config, Heads, SmrNet, autocast
 
 
@@ -23,24 +24,27 @@ class Distiller(nn.Module):
         # In a list, so that neither the state dict nor train() reaches it.
         self.teachers = [teacher]
 
-    def losses(self, images: Tensor, fused: Tensor, rois: list[Tensor], heads: Heads, wanted: Tensor | None) -> dict[str, Tensor]:
+    def losses(self, images: Tensor, fused: Tensor, rois: Rois, heads: Heads, wanted: Tensor | None) -> dict[str, Tensor]:
         """`wanted` is the teacher's fused map; without it the teacher runs."""
         (teacher,) = self.teachers
         with autocast(images.device.type):
             with torch.no_grad():
                 if wanted is None:
                     wanted = teacher.features(images, {})
-                say = teacher.roi_head(bx.roi_align_dense(wanted, rois, 1 / teacher.config.stride), {})
+                say = teacher.roi_head(bx.roi_align_dense(wanted, rois.boxes, 1 / teacher.config.stride), {})
             guess = self.project(fused)
         wanted = wanted.float()
         probability = say.scores.float().softmax(dim=1)
+        used = rois.labels.flatten() >= 0
         # Boxes only where the teacher sees a snap: elsewhere its boxes mean nothing.
         best, label = probability[:, 1:].max(dim=1)
-        seen = torch.where(best > 0.5)[0]
-        of = [h.view(len(probability), -1, 4)[seen, label[seen] + 1] for h in (heads.regression, say.regression.float())]
+        seen = used & (best > 0.5)
+        of = [rows(h.view(len(probability), -1, 4), label[:, None] + 1)[:, 0] for h in (heads.regression, say.regression.float())]
+        box = F.smooth_l1_loss(*of, beta=1 / 9, reduction="none").sum(dim=1)
+        divergence = F.kl_div(heads.scores.log_softmax(dim=1), probability, reduction="none").sum(dim=1)
         losses = {
             "map": F.mse_loss(guess.float(), wanted) / wanted.var(),
-            "teacher_class": F.kl_div(heads.scores.log_softmax(dim=1), probability, reduction="batchmean"),
-            "teacher_box": F.smooth_l1_loss(*of, beta=1 / 9, reduction="sum") / len(probability),
+            "teacher_class": mean_where(divergence, used),
+            "teacher_box": box.where(seen, 0.0).sum() / used.sum().clamp(min=1),
         }
         return {name: WEIGHTS[name] * loss for name, loss in losses.items()}

@@ -1,4 +1,4 @@
-"""Torchvision's Faster R-CNN losses, with boxes to ignore, and those of pose.py.
+"""Torchvision's Faster R-CNN losses, with boxes to ignore, and those of pose.py, of all pictures of a batch at once.
 
 A crop cuts some snaps in two. They are neither targets nor background: anchors
 and proposals that lie on them are left out.
@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import torch
 import torch.nn.functional as F
 from torch import Tensor
-from torchvision import ops
 
 import boxes as bx
 import pose
-from model import Heads, SmrNet, autocast, propose
+from model import Heads, SmrNet, autocast, propose_batch
+from truth import Truth
 
 ROIS = 64  # a picture, a quarter of them positive
 ANCHORS = 256  # a picture, half of them positive
@@ -24,121 +24,137 @@ BACKGROUND = 0.4
 
 
 def _on_ignored(boxes: Tensor, ignored: Tensor) -> Tensor:
-    """Which boxes have more than a fifth of their area on an ignored box."""
-    if not len(ignored):
-        return torch.zeros(len(boxes), dtype=torch.bool, device=boxes.device)
-    low = torch.maximum(boxes[:, None, :2], ignored[None, :, :2])
-    high = torch.minimum(boxes[:, None, 2:], ignored[None, :, 2:])
-    overlap = (high - low).clamp(min=0).prod(dim=2).amax(dim=1)
-    return overlap > 0.2 * ops.box_area(boxes)
+    """Which boxes [B, K, 4] have more than a fifth of their area on an ignored box [B, M, 4]."""
+    if not ignored.shape[1]:
+        return torch.zeros(boxes.shape[:2], dtype=torch.bool, device=boxes.device)
+    overlap = bx.intersection(boxes, ignored).amax(dim=2)
+    return overlap > 0.2 * bx.area(boxes)
 
 
-def _sample(positive: Tensor, negative: Tensor, count: int, fraction: float) -> tuple[Tensor, Tensor]:
-    """Random indices: at most `fraction` of `count` positive, the rest negative."""
-    p, n = torch.where(positive)[0], torch.where(negative)[0]
-    p = p[torch.randperm(len(p), device=p.device)[: int(count * fraction)]]
-    n = n[torch.randperm(len(n), device=n.device)[: count - len(p)]]
-    return p, n
+def _sample(positive: Tensor, negative: Tensor, first: Tensor, count: int, fraction: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Of K candidates, `count` a picture: indices [B, count], which of them are positive and which are neither.
+
+    At most `fraction` of them positive, those with the highest `first` [B, K]; the rest negative, likewise."""
+    most = min(int(count * fraction), positive.shape[1])
+    p_key, p = first.masked_fill(~positive, -1.0).topk(most, dim=1)
+    n_key, n = first.masked_fill(~negative, -1.0).topk(min(count, negative.shape[1]), dim=1)
+    found = p_key >= 0
+    room = count - found.sum(dim=1, keepdim=True)
+    taken = (n_key >= 0) & (torch.arange(n.shape[1], device=n.device) < room)
+    index = torch.cat([p, n], dim=1)
+    is_positive = torch.cat([found, torch.zeros_like(taken)], dim=1)
+    used = torch.cat([found, taken], dim=1)
+    # The used ones lie in the first `count` rows then.
+    order = used.int().argsort(dim=1, descending=True, stable=True)[:, :count]
+    return index.gather(1, order), is_positive.gather(1, order), ~used.gather(1, order)
 
 
-def match_anchors(anchors: Tensor, truth: Tensor, ignored: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Positive and negative masks, and each anchor's truth; 0.7 / 0.3 and about each truth's best anchors."""
-    if not len(truth):
-        none = torch.zeros(len(anchors), dtype=torch.bool, device=anchors.device)
-        return none, ~none & ~_on_ignored(anchors, ignored), none.long()
-    iou = ops.box_iou(anchors, truth)
-    best, which = iou.max(dim=1)
+def match_anchors(anchors: Tensor, truth: Truth) -> tuple[Tensor, Tensor, Tensor]:
+    """Positive and negative masks [B, A], and each anchor's truth; 0.7 / 0.3 and about each truth's best anchors."""
+    everywhere = anchors[None].expand(len(truth.boxes), -1, -1)
+    iou = bx.iou(everywhere, truth.boxes).where(truth.labels[:, None] > 0, -1.0)
+    best, which = iou.max(dim=2)
     positive = best >= 0.7
     # Low-quality matches: the best anchors of a truth, or nearly, though no overlap reaches 0.7. A long
     # hook has one or two best ones alone, too few to learn from.
-    positive |= (iou >= NEARLY * iou.amax(dim=0, keepdim=True).clamp(min=1e-6)).any(dim=1)
-    negative = (best < 0.3) & ~positive & ~_on_ignored(anchors, ignored)
+    positive |= (iou >= NEARLY * iou.amax(dim=1, keepdim=True).clamp(min=1e-6)).any(dim=2)
+    negative = (best < 0.3) & ~positive & ~_on_ignored(everywhere, truth.ignored)
     return positive, negative, which
 
 
-def rpn_loss(logits: Tensor, deltas: Tensor, anchors: Tensor, targets: list[dict]) -> tuple[Tensor, Tensor]:
-    picked, labels, predicted, wanted = [], [], [], []
-    for i, target in enumerate(targets):
-        positive, negative, which = match_anchors(anchors, target["boxes"], target["ignored"])
-        p, n = _sample(positive, negative, ANCHORS, 0.5)
-        picked.append(logits[i][torch.cat([p, n])])
-        labels.append(torch.cat([torch.ones_like(p), torch.zeros_like(n)]).float())
-        if len(p):
-            predicted.append(deltas[i][p])
-            wanted.append(bx.encode(target["boxes"][which[p]], anchors[p], bx.RPN_WEIGHTS))
-    objectness = F.binary_cross_entropy_with_logits(torch.cat(picked), torch.cat(labels))
-    if not predicted:
-        return objectness, deltas.sum() * 0
-    total = sum(map(len, labels))
-    return objectness, F.smooth_l1_loss(torch.cat(predicted), torch.cat(wanted), beta=1 / 9, reduction="sum") / total
+def rows(values: Tensor, which: Tensor) -> Tensor:
+    """values[b, which[b, k]]: of [B, N, ...] the rows [B, K]."""
+    return values.gather(1, which.view(*which.shape, *(1 for _ in values.shape[2:])).expand(*which.shape, *values.shape[2:]))
+
+
+def mean_where(values: Tensor, which: Tensor) -> Tensor:
+    """The mean of the values where `which` is true, 0 where it nowhere is; what is not finite elsewhere does no harm."""
+    return values.where(which, 0.0).sum() / which.sum().clamp(min=1)
+
+
+def rpn_loss(logits: Tensor, deltas: Tensor, anchors: Tensor, truth: Truth) -> tuple[Tensor, Tensor]:
+    """Of objectness [B, A] and deltas [B, A, 4]."""
+    positive, negative, which = match_anchors(anchors, truth)
+    index, is_positive, unused = _sample(positive, negative, torch.rand_like(logits), ANCHORS, 0.5)
+    total = (~unused).sum().clamp(min=1)
+    entropy = F.binary_cross_entropy_with_logits(logits.gather(1, index), is_positive.to(logits.dtype), reduction="none")
+    objectness = entropy.where(~unused, 0.0).sum() / total
+    # Anchors without a snap have their own box as what is wanted.
+    chosen = anchors[index]
+    boxes = rows(truth.boxes, which.gather(1, index)).where(is_positive[..., None], chosen)
+    error = F.smooth_l1_loss(rows(deltas, index), bx.encode(boxes, chosen, bx.RPN_WEIGHTS), beta=1 / 9, reduction="none")
+    return objectness, error.where(is_positive[..., None], 0.0).sum() / total
 
 
 @dataclass
 class Rois:
-    """Sampled regions of one picture; what they should be found to be, meaningless where the label is 0."""
+    """R sampled regions of each picture; what they should be found to be, meaningless where the label is not above 0."""
 
-    boxes: Tensor  # [R, 4]
-    labels: Tensor  # [R], 0 is background
-    truth: Tensor  # [R, 4]
-    yaw: Tensor  # [R], radians, NaN where there is no direction
-    whole: Tensor  # [R], 0 or 1
-    proposed: Tensor  # [R], from the RPN; the others are the truth itself
+    boxes: Tensor  # [B, R, 4]
+    labels: Tensor  # [B, R], 0 is background, -1 no region at all
+    truth: Tensor  # [B, R, 4]
+    yaw: Tensor  # [B, R], radians, NaN where there is no direction
+    whole: Tensor  # [B, R], 0 or 1
+    proposed: Tensor  # [B, R], from the RPN; the others are the truth itself
+
+    def flat(self) -> "Rois":
+        """Of all pictures in a row."""
+        return Rois(*(getattr(self, name).flatten(0, 1) for name in Rois.__dataclass_fields__))
 
 
 @torch.no_grad()
-def sample_rois(proposals: Tensor, target: dict) -> Rois:
-    """From the proposals and the truth, a quarter of them positive."""
-    truth = target["boxes"]
-    rois = torch.cat([proposals, truth])
-    if not len(truth):
-        rois = rois[torch.where(~_on_ignored(rois, target["ignored"]))[0][:ROIS]]
-        zeros = rois.new_zeros(len(rois))
-        return Rois(rois, zeros.long(), rois, zeros, zeros, zeros == 0)
-    best, which = ops.box_iou(rois, truth).max(dim=1)
-    positive = best >= 0.5
-    negative = (best < BACKGROUND) & ~_on_ignored(rois, target["ignored"])
-    p, n = _sample(positive, negative, ROIS, 0.25)
-    picked = torch.cat([p, n])
-    which = which[picked]
-    labels = target["labels"][which].clone()
-    labels[len(p) :] = 0
-    return Rois(rois[picked], labels, truth[which], target["yaw"][which], target["whole"][which], picked < len(proposals))
+def sample_rois(proposals: Tensor, there: Tensor, truth: Truth) -> Rois:
+    """From the proposals [B, P, 4] that are `there` [B, P], best first, and the truth; a quarter of them positive.
+
+    Of a picture without a snap the best proposals: they look most like one."""
+    snaps = truth.labels > 0
+    boxes, there = torch.cat([proposals, truth.boxes], dim=1), torch.cat([there, snaps], dim=1)
+    iou = bx.iou(boxes, truth.boxes).where(snaps[:, None], -1.0)
+    best, which = iou.max(dim=2)
+    positive = there & (best >= 0.5)
+    negative = there & (best < BACKGROUND) & ~_on_ignored(boxes, truth.ignored)
+    by_rank = torch.arange(boxes.shape[1], 0, -1, device=boxes.device) / boxes.shape[1]
+    first = torch.rand_like(best).where(snaps.any(dim=1, keepdim=True), by_rank)
+    index, is_positive, unused = _sample(positive, negative, first, ROIS, 0.25)
+    which = which.gather(1, index)
+    labels = rows(truth.labels, which).where(is_positive, 0).where(~unused, -1)
+    return Rois(rows(boxes, index), labels, rows(truth.boxes, which), rows(truth.yaw, which), rows(truth.whole, which), index < proposals.shape[1])
+
+
+def _of_label(regression: Tensor, labels: Tensor) -> Tensor:
+    """Each region's deltas [R, 4] for its own class."""
+    return rows(regression.view(len(labels), -1, 4), labels.clamp(min=0)[:, None])[:, 0]
 
 
 def roi_loss(heads: Heads, rois: Rois) -> tuple[Tensor, Tensor]:
-    classification = F.cross_entropy(heads.scores, rois.labels)
-    positive = torch.where(rois.labels > 0)[0]
-    if not len(positive):
-        return classification, heads.regression.sum() * 0
-    regression = heads.regression.view(len(rois.labels), -1, 4)[positive, rois.labels[positive]]
-    wanted = bx.encode(rois.truth[positive], rois.boxes[positive], bx.ROI_WEIGHTS)
-    return classification, F.smooth_l1_loss(regression, wanted, beta=1 / 9, reduction="sum") / len(rois.labels)
+    used, positive = rois.labels >= 0, rois.labels > 0
+    classification = mean_where(F.cross_entropy(heads.scores, rois.labels.clamp(min=0), reduction="none"), used)
+    boxes = rois.truth.where(positive[:, None], rois.boxes)
+    wanted = bx.encode(boxes, rois.boxes, bx.ROI_WEIGHTS).where(positive[:, None], 0.0)
+    error = F.smooth_l1_loss(_of_label(heads.regression, rois.labels), wanted, beta=1 / 9, reduction="none").sum(dim=1)
+    return classification, error.where(positive, 0.0).sum() / used.sum().clamp(min=1)
 
 
 def pose_losses(heads: Heads, rois: Rois, pixels_per_mm: float) -> dict[str, Tensor]:
     """Of the positive regions; the centre's deviations learn from proposals alone, as there are no others in use."""
-    none = heads.pose.sum() * 0
-    losses = {"yaw": none, "centre": none, "whole": none}
     positive = rois.labels > 0
-    if positive.any():
-        losses["whole"] = pose.whole_loss(heads.pose[positive], rois.whole[positive])
     directed = positive & rois.yaw.isfinite()
-    if directed.any():
-        losses["yaw"] = pose.yaw_loss(heads.pose[directed], rois.yaw[directed])
-    found = torch.where(positive & rois.proposed)[0]
-    if len(found):
-        regression = heads.regression.view(len(rois.labels), -1, 4)[found, rois.labels[found]]
-        boxes = bx.decode(regression.detach(), rois.boxes[found], bx.ROI_WEIGHTS)
-        error = (boxes[:, :2] + boxes[:, 2:] - rois.truth[found, :2] - rois.truth[found, 2:]) / 2
-        losses["centre"] = pose.centre_loss(heads.pose[found], error / pixels_per_mm)
-    return losses
+    found = positive & rois.proposed
+    boxes = bx.decode(_of_label(heads.regression.detach(), rois.labels), rois.boxes, bx.ROI_WEIGHTS)
+    error = (boxes[:, :2] + boxes[:, 2:] - rois.truth[:, :2] - rois.truth[:, 2:]) / 2
+    error = error.where(found[:, None], 0.0)
+    return {
+        "yaw": mean_where(pose.yaw_loss(heads.pose, rois.yaw.nan_to_num()), directed),
+        "centre": mean_where(pose.centre_loss(heads.pose, error / pixels_per_mm), found),
+        "whole": mean_where(pose.whole_loss(heads.pose, rois.whole.where(positive, 0.0)), positive),
+    }
 
 
 # In the sum; the box and class losses weigh 1. A likelihood's gradient grows as its deviation shrinks.
 WEIGHTS = {"yaw": 0.1, "centre": 0.03, "whole": 0.1}
 
 
-def detection_losses(model: SmrNet, images: Tensor, targets: list[dict], distiller=None, wanted: Tensor | None = None, scales: int = 3) -> tuple[dict[str, Tensor], Tensor]:
+def detection_losses(model: SmrNet, images: Tensor, truth: Truth, distiller=None, wanted: Tensor | None = None, scales: int = 3) -> tuple[dict[str, Tensor], Tensor]:
     """The weighted losses of a batch, and the fused map of so many scales; `wanted` is the teacher's, if it is at hand.
 
     The network in bfloat16 where the device gains by it, the losses in float32."""
@@ -147,21 +163,17 @@ def detection_losses(model: SmrNet, images: Tensor, targets: list[dict], distill
         fused = model.features(images, stages, scales)
         logits, deltas, anchors = model.rpn_heads(fused, stages)
     logits, deltas, anchors = logits.float(), deltas.float(), anchors.float()
-    objectness, rpn_box = rpn_loss(logits, deltas, anchors, targets)
-    size = images.shape[2:]
-    sampled = [
-        sample_rois(propose(l.detach(), d.detach(), anchors, size, 300, 100)[0], t)
-        for l, d, t in zip(logits, deltas, targets)
-    ]
-    boxes = [r.boxes for r in sampled]
-    rois = Rois(*(torch.cat([getattr(r, name) for r in sampled]) for name in Rois.__dataclass_fields__))
+    objectness, rpn_box = rpn_loss(logits, deltas, anchors, truth)
+    proposals, there = propose_batch(logits.detach(), deltas.detach(), anchors, images.shape[2:], 300, 100)
+    rois = sample_rois(proposals, there, truth)
     with autocast(images.device.type):
-        heads = model.roi_head(bx.roi_align_dense(fused, boxes, 1 / model.config.stride), stages)
+        heads = model.roi_head(bx.roi_align_dense(fused, rois.boxes, 1 / model.config.stride), stages)
     heads = Heads(heads.scores.float(), heads.regression.float(), None if heads.pose is None else heads.pose.float())
-    classification, roi_box = roi_loss(heads, rois)
+    flat = rois.flat()
+    classification, roi_box = roi_loss(heads, flat)
     losses = {"objectness": objectness, "rpn_box": rpn_box, "class": classification, "roi_box": roi_box}
     if heads.pose is not None:
-        losses |= pose_losses(heads, rois, model.config.pixels_per_mm)
+        losses |= pose_losses(heads, flat, model.config.pixels_per_mm)
     if distiller is not None:
-        losses |= distiller.losses(images, fused, boxes, heads, wanted)
+        losses |= distiller.losses(images, fused, rois, heads, wanted)
     return {k: WEIGHTS.get(k, 1.0) * v for k, v in losses.items()}, fused

@@ -45,7 +45,7 @@ def decode(rows: Tensor, directed: Tensor) -> dict[str, Tensor]:
 def yaw_loss(rows: Tensor, yaw: Tensor) -> Tensor:
     """Von Mises likelihood of angles [R] in radians, and half the squared distance of the vectors.
 
-    The distance steers while the likelihood is still flat. A region's likelihood weighs as its stated deviation
+    One loss a region, [R]. The distance steers while the likelihood is still flat. A region's likelihood weighs as its stated deviation
     (Seitzer et al. 2022, with beta = 1/2), else the sure ones drown the others.
     """
     truth = torch.stack([yaw.cos(), yaw.sin()], dim=1)
@@ -54,14 +54,14 @@ def yaw_loss(rows: Tensor, yaw: Tensor) -> Tensor:
     kappa = (-log_variance).exp()
     # log(2 pi I0(kappa)) - kappa cos, where i0e = I0 exp(-kappa) does not overflow.
     likelihood = math.log(2 * math.pi) + torch.special.i0e(kappa).log() + kappa * (1 - cosine)
-    return (likelihood * (log_variance / 2).exp().detach() + 0.5 * (rows[:, :2] - truth).square().sum(dim=1)).mean()
+    return likelihood * (log_variance / 2).exp().detach() + 0.5 * (rows[:, :2] - truth).square().sum(dim=1)
 
 
 def centre_loss(rows: Tensor, error: Tensor) -> Tensor:
-    """Normal likelihood of the centre's errors [R, 2] in mm; the centre itself is the box's and learns from the box's loss."""
+    """Normal likelihood of the centre's errors [R, 2] in mm, [R]; the centre itself is the box's and learns from the box's loss."""
     _, log_variance = _log_variances(rows)
-    return 0.5 * (log_variance + error.detach().square() * (-log_variance).exp()).sum(dim=1).mean()
+    return 0.5 * (log_variance + error.detach().square() * (-log_variance).exp()).sum(dim=1)
 
 
 def whole_loss(rows: Tensor, whole: Tensor) -> Tensor:
-    return F.binary_cross_entropy_with_logits(rows[:, 5], whole)
+    return F.binary_cross_entropy_with_logits(rows[:, 5], whole, reduction="none")

@@ -10,7 +10,7 @@ import torch
 from safetensors.torch import load_file, save_file
 from torchvision import ops
 from torchvision.models.detection.anchor_utils import AnchorGenerator
-from torchvision.models.detection._utils import BoxCoder
+from torchvision.models.detection._utils import BoxCoder, Matcher
 from torchvision.models.detection.image_list import ImageList
 
 import boxes as bx
@@ -22,8 +22,10 @@ from count import multiply_adds, stored_bytes
 from data import Snaps, cut, network_input, normalise, orient, read_coco, read_picture, resize_square
 from export import random_model
 from gates import PoolChannels, PoolSpace, ScaleChannels, ScaleSpace
+from losses import Rois, match_anchors, pose_losses, roi_loss, sample_rois
 from metrics import calibration_error, right
-from model import NETWORKS, Config, Heads, SmrNet, classify, vote
+from model import NETWORKS, Config, Heads, SmrNet, classify, propose, propose_batch, vote
+from truth import Truth
 
 ROOT = Path(__file__).parents[2]
 
@@ -56,8 +58,8 @@ def gates() -> None:
 def roi_align() -> None:
     # Inside, partly outside, wholly outside, tiny; float32 sampling weights give the bound.
     features = torch.randn(2, 5, 24, 20, requires_grad=True)
-    boxes = [torch.tensor([[3.0, 5, 60, 90], [-5, -3, 20, 200], [300, 10, 320, 40]]), torch.tensor([[10.0, 10, 11, 12]])]
-    got, truth = bx.roi_align_dense(features, boxes, 1 / 8), ops.roi_align(features, boxes, 7, 1 / 8, 2, aligned=True)
+    boxes = torch.tensor([[[3.0, 5, 60, 90], [-5, -3, 20, 200]], [[300, 10, 320, 40], [10, 10, 11, 12]]])
+    got, truth = bx.roi_align_dense(features, boxes, 1 / 8), ops.roi_align(features, [*boxes], 7, 1 / 8, 2, aligned=True)
     same("roi_align_dense", got, truth, 2e-5)
     weight = torch.randn_like(truth)
     same("roi_align_dense, gradient", *(torch.autograd.grad(o, features, weight)[0] for o in (got, truth)), 2e-4)
@@ -74,6 +76,89 @@ def anchors_and_coder() -> None:
     same("decode", bx.decode(deltas, truth, bx.ROI_WEIGHTS), coder.decode_single(deltas, truth), 1e-3)
     target = bx.decode(deltas / 4, truth, bx.RPN_WEIGHTS)
     same("encode", bx.encode(target, truth, bx.RPN_WEIGHTS), BoxCoder(bx.RPN_WEIGHTS).encode_single(target, truth), 1e-5)
+
+
+def boxes_of_a_batch(generator: torch.Generator, *shape: int) -> torch.Tensor:
+    corner, side = (torch.rand(*shape, 2, generator=generator) * scale for scale in (100, 60))
+    return torch.cat([corner, corner + side + 2], dim=-1)
+
+
+def batches() -> None:
+    """What the losses do for a batch at once against torchvision, picture by picture."""
+    generator = torch.Generator().manual_seed(3)
+    a, b = boxes_of_a_batch(generator, 3, 40), boxes_of_a_batch(generator, 3, 5)
+    for i, overlap in enumerate(bx.iou(a, b)):
+        same(f"IoU of picture {i}", overlap, ops.box_iou(a[i], b[i]), 1e-6)
+
+    anchors = bx.grid_anchors(bx.cell_anchors([24.0, 40.0], [0.5, 1.0, 2.0]), 16, 20, 8).float()
+    logits = torch.randn(4, len(anchors), generator=generator)
+    deltas = 0.3 * torch.randn(4, len(anchors), 4, generator=generator)
+    deltas[3, :, 2:] = -12.0  # boxes with nothing in them
+    boxes, there = propose_batch(logits, deltas, anchors, (128, 160), 200, 50)
+    for i in range(4):
+        alone, _ = propose(logits[i], deltas[i], anchors, (128, 160), 200, 50)
+        got = boxes[i][there[i]]
+        assert torch.equal(got, alone), f"proposals of picture {i}: {len(got)}, alone {len(alone)}"
+    print("ok proposals of a batch are those of its pictures alone")
+
+    labels = torch.tensor([[1, 2, 0], [0, 0, 0], [2, 1, 1], [1, 0, 0]])
+    nan = math.nan
+    truth = Truth(boxes_of_a_batch(generator, 4, 3), labels, torch.full((4, 3), nan), torch.ones(4, 3), boxes_of_a_batch(generator, 4, 1))
+    truth.ignored[0] = 0
+    positive, negative, which = match_anchors(anchors, truth)
+    matcher = Matcher(0.7, 0.3, allow_low_quality_matches=False)
+    for i in range(4):
+        snaps = truth.boxes[i][labels[i] > 0]
+        if not len(snaps):
+            assert not positive[i].any()
+            continue
+        overlap = ops.box_iou(snaps, anchors)
+        alone = matcher(overlap)
+        # Low-quality matches: nearly each truth's best, not the best alone.
+        low = (overlap >= 0.9 * overlap.amax(dim=1, keepdim=True)).any(dim=0)
+        assert torch.equal(positive[i], (alone >= 0) | low)
+        assert torch.equal(which[i][positive[i]], overlap.argmax(dim=0)[positive[i]])
+        shared = torch.maximum(anchors[:, :2], truth.ignored[i, :, :2]), torch.minimum(anchors[:, 2:], truth.ignored[i, :, 2:])
+        on_ignored = (shared[1] - shared[0]).clamp(min=0).prod(dim=1) > 0.2 * (anchors[:, 2:] - anchors[:, :2]).prod(dim=1)
+        assert torch.equal(negative[i], (alone == -1) & ~low & ~on_ignored)
+    print("ok anchors and their truth, as torchvision's Matcher has them")
+
+    rois = sample_rois(boxes, there, truth)
+    for i in range(4):
+        snaps = truth.boxes[i][labels[i] > 0]
+        used = rois.labels[i] >= 0
+        best = ops.box_iou(rois.boxes[i][used], snaps).amax(dim=1) if len(snaps) else torch.zeros(int(used.sum()))
+        assert ((rois.labels[i][used] > 0) == (best >= 0.5)).all(), "positive from an overlap of half on"
+        assert (rois.labels[i] > 0).sum() <= 16 and (best[best < 0.5] < 0.4).all()
+        # A truth is a region of its own, and of no truth there is none.
+        assert (rois.labels[i][~rois.proposed[i] & used] > 0).all()
+        distinct = rois.boxes[i][used].unique(dim=0)
+        assert len(distinct) == used.sum(), "a region comes once"
+    best_first = boxes[1][there[1]][~on_ignored_boxes(boxes[1][there[1]], truth.ignored[1])]
+    assert torch.equal(rois.boxes[1][rois.labels[1] == 0], best_first[:64]), "without a snap, the best proposals"
+    print("ok regions: a quarter positive, none twice")
+
+
+def on_ignored_boxes(boxes: torch.Tensor, ignored: torch.Tensor) -> torch.Tensor:
+    return bx.intersection(boxes[None], ignored[None])[0].amax(dim=1) > 0.2 * bx.area(boxes)
+
+
+def losses_by_hand() -> None:
+    """Two regions of one picture, one of class 2, and a row that is no region at all."""
+    heads = Heads(torch.tensor([[0.0, 0, 0], [0, 0, math.log(2)], [9, -9, 9]]), torch.zeros(3, 12), torch.zeros(3, 6))
+    heads.regression[1, 8:] = torch.tensor([1.0, 0, 0, 0])
+    box = torch.tensor([[0.0, 0, 10, 10], [0, 0, 10, 10], [0, 0, 1, 1]])
+    moved = box + torch.tensor([[0.0], [1.0], [0.0]])
+    rois = Rois(box, torch.tensor([0, 2, -1]), moved, torch.full((3,), math.nan), torch.tensor([1.0, 0, 1]), torch.tensor([True] * 3))
+    classes, boxes = roi_loss(heads, rois)
+    same("class loss", classes, torch.tensor((math.log(3) + math.log(2)) / 2), 1e-6)
+    # Deltas (1, 1, 0, 0) are wanted, (1, 0, 0, 0) are said: one is wrong by 1, over two regions.
+    same("box loss", boxes, torch.tensor((1 - 0.5 / 9) / 2), 1e-6)
+    found = pose_losses(heads, rois, 8.0)
+    # The centre is said to be at (6, 5), it is at (6, 6): wrong by 1/8 mm along y, at variances of 1.
+    same("centre's loss", found["centre"], torch.tensor(0.5 / 64), 1e-7)
+    same("yaw's loss of nothing with a direction", found["yaw"], torch.tensor(0.0), 0.0)
+    same("whole's loss", found["whole"], torch.tensor(math.log(2)), 1e-6)
 
 
 @torch.no_grad()
@@ -200,10 +285,10 @@ def pose_likelihoods() -> None:
             values.append(loss())
         return int(torch.stack(values).argmin())
 
-    assert least(lambda: pose.centre_loss(rows, torch.stack([error, error], 1))) == 2
+    assert least(lambda: pose.centre_loss(rows, torch.stack([error, error], 1)).mean()) == 2
     # yaw_loss weighs by exp(s / 2), which is no part of the gradient; and its distance does not depend on s.
     distance = 0.5 * (2 - 2 * error.cos()).mean()
-    assert least(lambda: (pose.yaw_loss(rows, error) - distance) / (rows[0, 2] / 2).exp()) == 2
+    assert least(lambda: (pose.yaw_loss(rows, error).mean() - distance) / (rows[0, 2] / 2).exp()) == 2
     print("ok likelihoods: 2")
 
 
@@ -320,6 +405,8 @@ if __name__ == "__main__":
     gates()
     roi_align()
     anchors_and_coder()
+    batches()
+    losses_by_hand()
     more_anchors()
     turns()
     cuts()

@@ -32,6 +32,7 @@ from distill import Distiller
 from losses import detection_losses
 from metrics import detect_folder, figures, line
 from model import NETWORKS, Config, SmrNet, Variant
+from truth import Truth
 
 WARMUP = 200  # steps
 LOOK_EVERY = 100  # steps between looks for new folders
@@ -234,28 +235,28 @@ class Run:
         done = min(1.0, self.step / self.steps())
         return self.args.lr * min(1.0, (self.step + 1) / WARMUP) * 0.5 * (1 + math.cos(math.pi * done))
 
-    def load(self, step: int) -> Future[tuple[Tensor, list[dict]]]:
+    def load(self, step: int) -> Future[tuple[Tensor, Truth]]:
         """A step's views, made from the folders at hand now."""
         sampler = Sampler([*self.chunks], self.config.pixels_per_mm, self.args.area, self.args.seed)
         return self.loader.submit(sampler.batch, step)
 
     def train_step(self) -> dict[str, float]:
         began = time.monotonic()
-        pixels, targets = (self.ahead or self.load(self.step)).result()
+        pixels, truth = (self.ahead or self.load(self.step)).result()
         # New folders may come before such a step.
         self.ahead = self.load(self.step + 1) if (self.step + 1) % LOOK_EVERY else None
         loaded = time.monotonic()
         images = normalise(pixels, self.config.mean, self.config.std).to(self.device, memory_format=torch.channels_last)
-        targets = [{k: v.to(self.device) for k, v in t.items()} for t in targets]
+        truth = truth.to(self.device)
         # The choice of anchors and proposals draws from torch's generator.
         torch.manual_seed(self.args.seed * 1_000_003 + self.step)
         # Both ways of running must come out right: with conv5_x, and without it where it is left out.
         share = self.args.without_deepest if self.config.leaves_deepest else 0.0
         scales = 2 if share > 0 and float(torch.rand(())) < share else 3
-        losses, fused = detection_losses(self.learner.model, images, targets, self.learner.extra, scales=scales)
+        losses, fused = detection_losses(self.learner.model, images, truth, self.learner.extra, scales=scales)
         report = {"norm": self.learner.learn(sum(losses.values()), self.rate())}
         if self.student:
-            more, _ = detection_losses(self.student.model, images, targets, self.student.extra, fused.detach(), scales)
+            more, _ = detection_losses(self.student.model, images, truth, self.student.extra, fused.detach(), scales)
             rate = self.rate() * self.args.student_lr / self.args.lr
             report |= {"student_norm": self.student.learn(sum(more.values()), rate)}
             losses |= {f"student_{k}": v for k, v in more.items()}

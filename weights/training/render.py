@@ -1,0 +1,57 @@
+"""Renders sets of a recipe without end, packed for `pool.py`, beside trainings that take them up.
+
+Part k of a seed is always the same: 60 pictures of seed SEED + k under the options of some line of the recipe, whose
+lines come as often as their first number says. `render.py --recipe recipe.json --simulator smr-gpu --out DIR`
+"""
+
+import argparse
+import json
+import os
+import random
+import shlex
+import shutil
+import subprocess
+import tempfile
+from multiprocessing import Pool as Processes
+from pathlib import Path
+
+import pool
+
+PICTURES = 60
+
+
+def options_of(recipe: list, seed: int, k: int) -> str:
+    shares, options = zip(*recipe)
+    return random.Random(seed + k).choices(options, shares)[0]
+
+
+def render(job: tuple) -> str:
+    simulator, out, pixels_per_mm, seed, options = job
+    with tempfile.TemporaryDirectory(dir=out) as folder:
+        command = [simulator, "simulate", "--out", f"{folder}/set", "--seed", str(seed), "--count", str(PICTURES), *shlex.split(options)]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env={**os.environ, "RAYON_NUM_THREADS": "1"})
+        pool.pack(Path(folder) / "set", pixels_per_mm, seed).save(out / f"{seed}.npz")
+        shutil.rmtree(f"{folder}/set")
+    return f"{seed} {options}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--recipe", type=Path, required=True, help="JSON: [[share, options of `smr-gpu simulate`], ...]")
+    parser.add_argument("--simulator", default="smr-gpu")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--seed", type=int, default=100_000)
+    parser.add_argument("--parts", type=int, default=100_000)
+    parser.add_argument("--pixels-per-mm", type=float, default=8.0)
+    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    recipe = json.loads(args.recipe.read_text())
+    jobs = ((args.simulator, args.out, args.pixels_per_mm, args.seed + k, options_of(recipe, args.seed, k)) for k in range(args.parts))
+    with Processes(args.workers) as processes:
+        for text in processes.imap(render, jobs):
+            print(text, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,173 @@
+"""Trains a network for so many seconds on pictures that `render.py` renders meanwhile; made for a CUDA card.
+
+The rate follows the clock: a warm-up, then half a cosine to zero when the time is up. In the last part of the time
+batch norm stands still, with statistics measured then, so that a view is seen as in use. Not to be repeated to the
+bit: which pictures a step sees depends on how quickly they come. OUT/log tells.
+"""
+
+import argparse
+import json
+import math
+import os
+import threading
+import time
+from pathlib import Path
+from queue import Queue
+
+import torch
+from torch import nn
+
+import weightfile
+from data import CLASSES, DIRECTED, normalise
+from losses import detection_losses
+from model import SmrNet
+from pool import Part, Pool
+
+WARMUP = 200  # steps
+EMA_EVERY, EMA_DECAY = 4, 0.998
+STATISTICS_BATCHES = 100
+LOG_EVERY = 50
+
+
+def incoming(parts: Path) -> Queue:
+    """A queue of the parts that lie in a folder, and come to lie there, in the order of their seeds."""
+    queue: Queue = Queue(2)
+
+    def watch() -> None:
+        seen = set()
+        while True:
+            for file in sorted(parts.glob("*.npz")):
+                if file.name not in seen:
+                    seen.add(file.name)
+                    queue.put(Part.load(file))
+            time.sleep(0.5)
+
+    threading.Thread(target=watch, daemon=True).start()
+    return queue
+
+
+def norms(model: nn.Module) -> list[nn.BatchNorm2d]:
+    return [m for m in model.modules() if isinstance(m, nn.BatchNorm2d)]
+
+
+class Training:
+    def __init__(self, args: argparse.Namespace):
+        self.args, self.began = args, time.monotonic()
+        self.device = "cuda" if torch.cuda.is_available() else "cpu"
+        torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
+        self.model = weightfile.load(args.init).to(self.device, memory_format=torch.channels_last)
+        config = self.config = self.model.config
+        # A temperature fits the weights that it was measured with.
+        config.classes, config.directed, config.pose, config.temperature = [*CLASSES], [*DIRECTED], True, 1.0
+        self.ema = SmrNet(config).to(self.device, memory_format=torch.channels_last).eval()
+        self.ema.load_state_dict(self.model.state_dict())
+        decay, plain = ([p for p in self.model.parameters() if (p.ndim > 1) == many] for many in (True, False))
+        groups = [{"params": decay, "weight_decay": args.weight_decay}, {"params": plain, "weight_decay": 0.0}]
+        self.optimizer = torch.optim.AdamW(groups, args.lr, betas=(0.9, 0.99), fused=True)
+        self.pool = Pool(config.pixels_per_mm, args.room, self.device)
+        self.queue = incoming(args.parts)
+        self.step = self.seen = 0
+        self.standing = False
+
+    def log(self, text: str) -> None:
+        with open(self.args.out / "log", "a") as file:
+            file.write(f"{time.monotonic() - self.began:6.1f} {text}\n")
+
+    def done(self) -> float:
+        """Share of the time."""
+        return (time.monotonic() - self.began) / self.args.seconds
+
+    def take_up(self, wait: bool) -> None:
+        while wait or not self.queue.empty():
+            if not self.pool.add(self.queue.get()):
+                self.queue = Queue()  # full: what comes is left
+            if len(self.pool) >= self.args.least:
+                break
+
+    @torch.no_grad()
+    def measure_statistics(self) -> None:
+        """Batch norm from now on uses what it is on average over such batches."""
+        for m in norms(self.model):
+            m.reset_running_stats()
+            m.momentum = None  # a plain average
+        self.model.train()
+        for i in range(STATISTICS_BATCHES):
+            pixels, _ = self.pool.batch(10**6 + i, self.args.area, self.args.seed)
+            self.model.features(self.normalised(pixels), {})
+        for m in norms(self.model):
+            m.eval()
+        self.ema.load_state_dict({k: v for k, v in self.model.state_dict().items() if "running" in k}, strict=False)
+        self.standing = True
+
+    def normalised(self, pixels: torch.Tensor) -> torch.Tensor:
+        return normalise(pixels, self.config.mean, self.config.std).contiguous(memory_format=torch.channels_last)
+
+    def train_step(self) -> dict[str, torch.Tensor]:
+        pixels, truth = self.pool.batch(self.step, self.args.area, self.args.seed)
+        losses, _ = detection_losses(self.model, self.normalised(pixels), truth)
+        rate = self.args.lr * min(1.0, (self.step + 1) / WARMUP) * 0.5 * (1 + math.cos(math.pi * min(1.0, self.done())))
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        self.optimizer.zero_grad()
+        sum(losses.values()).backward()
+        norm = nn.utils.clip_grad_norm_(self.model.parameters(), 10.0, foreach=True)
+        # The fused optimiser leaves such a step out by itself: nothing waits for the device.
+        self.optimizer.found_inf = (~torch.isfinite(norm)).float()
+        self.optimizer.grad_scale = None
+        self.optimizer.step()
+        self.step += 1
+        self.seen += len(pixels)
+        if self.step % EMA_EVERY == 0:
+            self.average()
+        return {**{k: v.detach() for k, v in losses.items()}, "norm": norm.detach()}
+
+    @torch.no_grad()
+    def average(self) -> None:
+        keep = min(EMA_DECAY, self.step / (self.step + 50)) ** EMA_EVERY
+        average, now = self.ema.state_dict(), self.model.state_dict()
+        floats = [k for k in now if now[k].is_floating_point()]
+        torch._foreach_lerp_([average[k] for k in floats], [now[k] for k in floats], 1 - keep)
+
+    def run(self) -> None:
+        self.take_up(wait=True)
+        self.log(f"begins with {len(self.pool)} pictures on {self.device}")
+        self.model.train()
+        last, recent = time.monotonic(), []
+        while self.done() < 1:
+            if not self.standing and self.done() > 1 - self.args.standing:
+                self.measure_statistics()
+                self.log(f"step {self.step}: batch norm stands still")
+            recent.append(self.train_step())
+            if self.step % LOG_EVERY == 0:
+                self.take_up(wait=False)
+                mean = {k: float(torch.stack([r[k] for r in recent]).mean()) for k in recent[0]}
+                text = " ".join(f"{k} {v:.4f}" for k, v in mean.items())
+                now = time.monotonic()
+                self.log(f"step {self.step} {1000 * (now - last) / len(recent):.0f} ms pictures {len(self.pool)} seen {self.seen} {text}")
+                last, recent = now, []
+        if not self.standing:
+            self.measure_statistics()
+        weightfile.save(self.ema, self.args.out / "weights.safetensors")
+        self.log(f"done: step {self.step}, {self.seen} views, {len(self.pool)} pictures")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--parts", type=Path, required=True, help="folder that render.py writes to")
+    parser.add_argument("--init", type=Path, required=True, help="weight file to start from")
+    parser.add_argument("--seconds", type=float, required=True)
+    parser.add_argument("--least", type=int, default=1000, help="pictures to begin with")
+    parser.add_argument("--room", type=int, default=6 * 10**9, help="for so many pixels, of three bytes each")
+    parser.add_argument("--area", type=int, default=96 * 192 * 192, help="pixels of a batch")
+    parser.add_argument("--lr", type=float, default=8e-4)
+    parser.add_argument("--weight-decay", type=float, default=0.05)
+    parser.add_argument("--standing", type=float, default=0.35, help="share of the time in which batch norm stands still")
+    parser.add_argument("--seed", type=int, default=1)
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    Training(args).run()
+
+
+if __name__ == "__main__":
+    main()

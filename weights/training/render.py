@@ -9,7 +9,6 @@ import json
 import os
 import random
 import shlex
-import shutil
 import subprocess
 import tempfile
 from multiprocessing import Pool as Processes
@@ -27,11 +26,12 @@ def options_of(recipe: list, seed: int, k: int) -> str:
 
 def render(job: tuple) -> str:
     simulator, out, pixels_per_mm, seed, options = job
+    if (out / f"{seed}.npz").exists():
+        return f"{seed} is there"
     with tempfile.TemporaryDirectory(dir=out) as folder:
         command = [simulator, "simulate", "--out", f"{folder}/set", "--seed", str(seed), "--count", str(PICTURES), *shlex.split(options)]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env={**os.environ, "RAYON_NUM_THREADS": "1"})
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env={**os.environ, "RAYON_NUM_THREADS": "1"})
         pool.pack(Path(folder) / "set", pixels_per_mm, seed).save(out / f"{seed}.npz")
-        shutil.rmtree(f"{folder}/set")
     return f"{seed} {options}"
 
 

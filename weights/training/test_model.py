@@ -22,6 +22,7 @@ from count import multiply_adds, stored_bytes
 from data import Snaps, cut, network_input, normalise, orient, read_coco, read_picture, resize_square
 from export import random_model
 from gates import PoolChannels, PoolSpace, ScaleChannels, ScaleSpace
+from learner import Learner
 from losses import Rois, match_anchors, pose_losses, roi_loss, sample_rois
 from metrics import calibration_error, right
 from model import NETWORKS, Config, Heads, SmrNet, classify, propose, propose_batch, vote
@@ -159,6 +160,18 @@ def losses_by_hand() -> None:
     same("centre's loss", found["centre"], torch.tensor(0.5 / 64), 1e-7)
     same("yaw's loss of nothing with a direction", found["yaw"], torch.tensor(0.0), 0.0)
     same("whole's loss", found["whole"], torch.tensor(math.log(2)), 1e-6)
+
+
+def steps() -> None:
+    """A gradient that is not finite teaches nothing, and does no harm to the next."""
+    learner = Learner(Config(**NETWORKS["small"]), "cpu", weight_decay=0.1)
+    weight = learner.model.rpn.cls.weight
+    for factor in (1.0, math.nan, 1.0):
+        before = weight.detach().clone()
+        norm = learner.learn((weight * factor).sum(), 1e-3)
+        moved = not torch.equal(weight, before)
+        assert moved == math.isfinite(factor) == bool(norm.isfinite()) and weight.isfinite().all(), factor
+    print("ok steps without a finite gradient are left out")
 
 
 @torch.no_grad()
@@ -407,6 +420,7 @@ if __name__ == "__main__":
     anchors_and_coder()
     batches()
     losses_by_hand()
+    steps()
     more_anchors()
     turns()
     cuts()

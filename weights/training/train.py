@@ -24,11 +24,12 @@ os.environ.setdefault("GOMP_SPINCOUNT", "0")
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 import weightfile
 from data import CLASSES, DIRECTED, JITTER, Chunk, Sampler, normalise
 from distill import Distiller
+from learner import Learner, norms
 from losses import detection_losses
 from metrics import detect_folder, figures, line
 from model import NETWORKS, Config, SmrNet, Variant
@@ -36,7 +37,6 @@ from truth import Truth
 
 WARMUP = 200  # steps
 LOOK_EVERY = 100  # steps between looks for new folders
-EMA_EVERY, EMA_DECAY = 4, 0.998
 AREA = 12 * 192 * 192  # pixels of a batch
 STATISTICS_BATCHES = 60
 # What a network takes over from another beside which it learns.
@@ -72,60 +72,6 @@ def recompute_statistics(model: SmrNet, chunks: list[Chunk], seed: int) -> None:
     model.eval()
 
 
-def norms(model: nn.Module) -> list[nn.BatchNorm2d]:
-    return [m for m in model.modules() if isinstance(m, nn.BatchNorm2d)]
-
-
-class Learner:
-    """A network, its running average and its optimiser; `extra` is learnt with it and thrown away in the end."""
-
-    def __init__(self, config: Config, args: argparse.Namespace, device: str, extra: nn.Module | None = None):
-        self.config, self.extra = config, extra
-        self.model = SmrNet(config).to(device, memory_format=torch.channels_last)
-        self.ema = SmrNet(config).to(device, memory_format=torch.channels_last).eval()
-        self.ema.load_state_dict(self.model.state_dict())
-        parameters = [*self.model.parameters(), *(extra.parameters() if extra else [])]
-        decay, plain = [p for p in parameters if p.ndim > 1], [p for p in parameters if p.ndim <= 1]
-        groups = [{"params": decay, "weight_decay": args.weight_decay}, {"params": plain, "weight_decay": 0.0}]
-        self.optimizer = torch.optim.AdamW(groups, args.lr, betas=(0.9, 0.99), fused=True)
-
-    def learn(self, loss: Tensor, rate: float) -> float:
-        """One step of the optimiser; the gradient's norm."""
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
-        self.optimizer.zero_grad()
-        loss.backward()
-        norm = nn.utils.clip_grad_norm_((p for g in self.optimizer.param_groups for p in g["params"]), 10.0)
-        if torch.isfinite(norm):
-            self.optimizer.step()
-        return norm.item()
-
-    def average(self, step: int) -> None:
-        """After every EMA_EVERY-th step."""
-        keep = min(EMA_DECAY, step / (step + 50)) ** EMA_EVERY
-        average, now = self.ema.state_dict(), self.model.state_dict()
-        floats = [k for k in now if now[k].is_floating_point()]
-        torch._foreach_lerp_([average[k] for k in floats], [now[k] for k in floats], 1 - keep)
-
-    def state(self) -> dict:
-        state = {"config": json.dumps(self.config.to_dict()), "model": self.model.state_dict(), "ema": self.ema.state_dict(), "optimizer": self.optimizer.state_dict()}
-        return state | ({"distiller": self.extra.state_dict()} if self.extra else {})
-
-    def load(self, state: dict) -> None:
-        self.model.load_state_dict(state["model"])
-        self.ema.load_state_dict(state["ema"])
-        self.optimizer.load_state_dict(state["optimizer"])
-        if self.extra:
-            self.extra.load_state_dict(state["distiller"])
-
-    def begin_with(self, init: SmrNet, file: Path) -> None:
-        """The weights of a file; those of the pose may be missing."""
-        missing, unexpected = self.model.load_state_dict(init.state_dict(), strict=False)
-        if unexpected or any(not name.startswith("roi_head.pose.") for name in missing):
-            raise SystemExit(f"{file}: missing {missing}, unexpected {unexpected}")
-        self.ema.load_state_dict(self.model.state_dict())
-
-
 class Run:
     """All that a checkpoint holds."""
 
@@ -159,7 +105,7 @@ class Run:
         if args.teacher:
             teacher = weightfile.load(args.teacher).eval().requires_grad_(False)
             distiller = Distiller(teacher, self.config).to(self.device)
-        self.learner = Learner(self.config, args, self.device, distiller)
+        self.learner = Learner(self.config, self.device, args.weight_decay, distiller)
         if init:
             self.learner.begin_with(init, args.init)
         self.student = None
@@ -169,7 +115,7 @@ class Run:
             # Its own file's anchors, mean and deviation must be this run's: both learn from the same views.
             if first and {k: getattr(first.config, k) for k in SHARED} != {k: getattr(config, k) for k in SHARED}:
                 raise SystemExit(f"{args.student_init}: expected {', '.join(SHARED)} of the network that it learns from")
-            self.student = Learner(config, args, self.device, Distiller(self.learner.model, config).to(self.device))
+            self.student = Learner(config, self.device, args.weight_decay, Distiller(self.learner.model, config).to(self.device))
             if first:
                 self.student.begin_with(first, args.student_init)
         if state is not None:
@@ -262,11 +208,10 @@ class Run:
             losses |= {f"student_{k}": v for k, v in more.items()}
         self.step += 1
         self.seen += len(images)
-        if self.step % EMA_EVERY == 0:
-            for learner in self.learners():
-                learner.average(self.step)
+        for learner in self.learners():
+            learner.average(self.step)
         timing = {"load_s": loaded - began, "step_s": time.monotonic() - began}
-        return {**{k: v.item() for k, v in losses.items()}, **report, **timing}
+        return {**{k: v.item() for k, v in (losses | report).items()}, **timing}
 
     def learners(self) -> list[Learner]:
         return [self.learner, *([self.student] if self.student else [])]
@@ -342,8 +287,7 @@ def main() -> None:
     for learner in run.learners():
         learner.model.train()
         if args.keep_statistics:
-            for m in norms(learner.model):
-                m.eval()
+            learner.stand()
     saved = validated = run.seconds
     recent: list[dict] = []
     clock = time.monotonic()

@@ -6,25 +6,21 @@ bit: which pictures a step sees depends on how quickly they come. OUT/log tells.
 """
 
 import argparse
-import json
 import math
-import os
 import threading
 import time
 from pathlib import Path
 from queue import Queue
 
 import torch
-from torch import nn
 
 import weightfile
 from data import CLASSES, DIRECTED, normalise
+from learner import Learner, norms
 from losses import detection_losses
-from model import SmrNet
 from pool import Part, Pool
 
 WARMUP = 200  # steps
-EMA_EVERY, EMA_DECAY = 4, 0.998
 STATISTICS_BATCHES = 100
 LOG_EVERY = 50
 
@@ -46,24 +42,17 @@ def incoming(parts: Path) -> Queue:
     return queue
 
 
-def norms(model: nn.Module) -> list[nn.BatchNorm2d]:
-    return [m for m in model.modules() if isinstance(m, nn.BatchNorm2d)]
-
-
 class Training:
     def __init__(self, args: argparse.Namespace):
         self.args, self.began = args, time.monotonic()
         self.device = "cuda" if torch.cuda.is_available() else "cpu"
         torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
-        self.model = weightfile.load(args.init).to(self.device, memory_format=torch.channels_last)
-        config = self.config = self.model.config
+        init = weightfile.load(args.init)
+        config = self.config = init.config
         # A temperature fits the weights that it was measured with.
         config.classes, config.directed, config.pose, config.temperature = [*CLASSES], [*DIRECTED], True, 1.0
-        self.ema = SmrNet(config).to(self.device, memory_format=torch.channels_last).eval()
-        self.ema.load_state_dict(self.model.state_dict())
-        decay, plain = ([p for p in self.model.parameters() if (p.ndim > 1) == many] for many in (True, False))
-        groups = [{"params": decay, "weight_decay": args.weight_decay}, {"params": plain, "weight_decay": 0.0}]
-        self.optimizer = torch.optim.AdamW(groups, args.lr, betas=(0.9, 0.99), fused=True)
+        self.learner = Learner(config, self.device, args.weight_decay)
+        self.learner.begin_with(init, args.init)
         self.pool = Pool(config.pixels_per_mm, args.room, self.device)
         self.queue = incoming(args.parts)
         self.step = self.seen = 0
@@ -77,26 +66,30 @@ class Training:
         """Share of the time."""
         return (time.monotonic() - self.began) / self.args.seconds
 
-    def take_up(self, wait: bool) -> None:
-        while wait or not self.queue.empty():
+    def take_up(self, least: int) -> None:
+        """What has come, and waits until there are so many pictures."""
+        while len(self.pool) < least or not self.queue.empty():
             if not self.pool.add(self.queue.get()):
+                if len(self.pool) < least:
+                    raise SystemExit(f"--room: {self.args.room} pixels are full with {len(self.pool)} pictures, expected room for {least}")
                 self.queue = Queue()  # full: what comes is left
-            if len(self.pool) >= self.args.least:
-                break
 
     @torch.no_grad()
     def measure_statistics(self) -> None:
         """Batch norm from now on uses what it is on average over such batches."""
-        for m in norms(self.model):
+        model, ema = self.learner.model, self.learner.ema
+        for m in norms(model):
             m.reset_running_stats()
             m.momentum = None  # a plain average
-        self.model.train()
+        model.train()
         for i in range(STATISTICS_BATCHES):
             pixels, _ = self.pool.batch(10**6 + i, self.args.area, self.args.seed)
-            self.model.features(self.normalised(pixels), {})
-        for m in norms(self.model):
-            m.eval()
-        self.ema.load_state_dict({k: v for k, v in self.model.state_dict().items() if "running" in k}, strict=False)
+            model.features(self.normalised(pixels), {})
+        self.stand()
+        ema.load_state_dict({k: v for k, v in model.state_dict().items() if "running" in k}, strict=False)
+
+    def stand(self) -> None:
+        self.learner.stand()
         self.standing = True
 
     def normalised(self, pixels: torch.Tensor) -> torch.Tensor:
@@ -104,34 +97,20 @@ class Training:
 
     def train_step(self) -> dict[str, torch.Tensor]:
         pixels, truth = self.pool.batch(self.step, self.args.area, self.args.seed)
-        losses, _ = detection_losses(self.model, self.normalised(pixels), truth)
+        losses, _ = detection_losses(self.learner.model, self.normalised(pixels), truth)
         rate = self.args.lr * min(1.0, (self.step + 1) / WARMUP) * 0.5 * (1 + math.cos(math.pi * min(1.0, self.done())))
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
-        self.optimizer.zero_grad()
-        sum(losses.values()).backward()
-        norm = nn.utils.clip_grad_norm_(self.model.parameters(), 10.0, foreach=True)
-        # The fused optimiser leaves such a step out by itself: nothing waits for the device.
-        self.optimizer.found_inf = (~torch.isfinite(norm)).float()
-        self.optimizer.grad_scale = None
-        self.optimizer.step()
+        norm = self.learner.learn(sum(losses.values()), rate)
         self.step += 1
         self.seen += len(pixels)
-        if self.step % EMA_EVERY == 0:
-            self.average()
-        return {**{k: v.detach() for k, v in losses.items()}, "norm": norm.detach()}
-
-    @torch.no_grad()
-    def average(self) -> None:
-        keep = min(EMA_DECAY, self.step / (self.step + 50)) ** EMA_EVERY
-        average, now = self.ema.state_dict(), self.model.state_dict()
-        floats = [k for k in now if now[k].is_floating_point()]
-        torch._foreach_lerp_([average[k] for k in floats], [now[k] for k in floats], 1 - keep)
+        self.learner.average(self.step)
+        return {**{k: v.detach() for k, v in losses.items()}, "norm": norm}
 
     def run(self) -> None:
-        self.take_up(wait=True)
+        self.take_up(self.args.least)
         self.log(f"begins with {len(self.pool)} pictures on {self.device}")
-        self.model.train()
+        self.learner.model.train()
+        if self.args.standing >= 1:
+            self.stand()
         last, recent = time.monotonic(), []
         while self.done() < 1:
             if not self.standing and self.done() > 1 - self.args.standing:
@@ -139,7 +118,7 @@ class Training:
                 self.log(f"step {self.step}: batch norm stands still")
             recent.append(self.train_step())
             if self.step % LOG_EVERY == 0:
-                self.take_up(wait=False)
+                self.take_up(0)
                 mean = {k: float(torch.stack([r[k] for r in recent]).mean()) for k in recent[0]}
                 text = " ".join(f"{k} {v:.4f}" for k, v in mean.items())
                 now = time.monotonic()
@@ -147,7 +126,7 @@ class Training:
                 last, recent = now, []
         if not self.standing:
             self.measure_statistics()
-        weightfile.save(self.ema, self.args.out / "weights.safetensors")
+        weightfile.save(self.learner.ema, self.args.out / "weights.safetensors")
         self.log(f"done: step {self.step}, {self.seen} views, {len(self.pool)} pictures")
 
 
@@ -162,7 +141,7 @@ def main() -> None:
     parser.add_argument("--area", type=int, default=96 * 192 * 192, help="pixels of a batch")
     parser.add_argument("--lr", type=float, default=8e-4)
     parser.add_argument("--weight-decay", type=float, default=0.05)
-    parser.add_argument("--standing", type=float, default=0.35, help="share of the time in which batch norm stands still")
+    parser.add_argument("--standing", type=float, default=0.35, help="share of the time in which batch norm stands still; 1 keeps the file's statistics")
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)

@@ -66,7 +66,8 @@ struct Plan {
 }
 
 impl Plan {
-    /// `None` without subgroups, and for weights that fit no texture.
+    /// `None` without subgroups, for weights that fit no texture, and for more rows than a buffer has
+    /// room for with the outputs of whole tiles.
     fn of(work: &Work) -> Option<Self> {
         let lanes = Lanes::of(work.caps).0?;
         let [outputs, inner] = [0, 1].map(|i| work.inputs[1].shape.0[i]);
@@ -76,7 +77,9 @@ impl Plan {
         let side = work.caps.texture_side as usize;
         let all = tiles * tile * slices * slice_quads;
         let width = (side / tile * tile).min(all);
+        let partials = 4 * (slices * rows(&work.inputs[0].shape) * tiles * tile) as u64;
         let fits = width > 0
+            && partials <= work.caps.buffer_bytes
             && all.div_ceil(width.max(1)) <= side
             && tiles * slices <= MAX_WORKGROUPS as usize
             && work.known[1]
@@ -209,6 +212,31 @@ fn moved(inputs: &[&Value]) -> Result<Vec<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// One output of a row takes a whole tile, of four outputs a lane.
+    #[test]
+    fn sums_fit_a_buffer() {
+        let fits = |rows: usize, lanes: u32| {
+            let caps = Caps { subgroup: Some(lanes), ..Caps::default() };
+            let inputs =
+                [TensorSpec::f32([rows, 1]), TensorSpec::f32([1, 1]), TensorSpec::f32([1])];
+            Plan::of(&Work {
+                node: 0,
+                op: &Linear::default(),
+                inputs: &inputs,
+                known: &[false, true, true],
+                outputs: &[],
+                batch: 1,
+                precision: Precision::F32,
+                caps: &caps,
+            })
+            .is_some()
+        };
+        // 128 MiB are 2^18 rows of 128 sums.
+        assert!(fits(1 << 18, 32));
+        assert!(!fits((1 << 18) + 1, 32));
+        assert!(fits(524_289, 8));
+    }
 
     /// 33 outputs of 5 inputs for 8 lanes: output o of input k is 10o + k + 1.
     #[test]

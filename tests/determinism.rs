@@ -19,7 +19,7 @@ const EACH: usize = 25;
 fn config() -> Config {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let config = Config::new(root.join("weights/smrnet-s.safetensors"));
-    config.input_size(96).score(0.01).in_flight(4)
+    config.input_size(96).score(0.001).in_flight(4)
 }
 
 /// Pictures with different snaps.

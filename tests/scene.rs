@@ -104,7 +104,9 @@ fn parts_and_the_best_proposals_find_the_snap_that_the_whole_finds() {
     let best = Scene { proposals: true, most_proposals: 32, ..Scene::FULL };
     let best = detect(config(Device::Cpu, best));
     assert!(whole.proposals > 32, "{} proposals", whole.proposals);
-    assert_eq!((best.proposals, best.detections.len()), (32, 1));
+    // Fewer where the best overlap.
+    assert!((1..=32).contains(&best.proposals), "{} proposals", best.proposals);
+    assert_eq!(best.detections.len(), 1);
     let doubting = Scene { proposals: true, doubt: 1.0, ..Scene::FULL };
     let doubted = detect(config(Device::Cpu, doubting));
     assert_eq!((&doubted.detections, doubted.looked_again), (&whole.detections, true));

@@ -100,11 +100,13 @@ fn parts_and_the_best_proposals_find_the_snap_that_the_whole_finds() {
     let whole = detect(config(Device::Cpu, Scene::FULL));
     let [stud] = &whole.detections[..] else { panic!("one stud, not {:?}", whole.detections) };
     assert_eq!((whole.contact, &whole.regions), (None, &None));
-    // The best 32 places, of many.
-    let best = Scene { proposals: true, most_proposals: 32, ..Scene::FULL };
-    let best = detect(config(Device::Cpu, best));
+    // The best 32 places, of many: all 32 on bare gel, fewer where they lie on one stud and overlap.
+    let scene = Scene { proposals: true, most_proposals: 32, ..Scene::FULL };
+    let bare = GpuDetector::new(config(Device::Cpu, scene)).expect("a detector");
+    let bare = bare.detect_frame(&gel(1, 1.0, |_, _| 0.0)).expect("detections");
+    assert_eq!((bare.proposals, bare.detections.len()), (32, 0));
+    let best = detect(config(Device::Cpu, scene));
     assert!(whole.proposals > 32, "{} proposals", whole.proposals);
-    // Fewer where the best overlap.
     assert!((1..=32).contains(&best.proposals), "{} proposals", best.proposals);
     assert_eq!(best.detections.len(), 1);
     let doubting = Scene { proposals: true, doubt: 1.0, ..Scene::FULL };

@@ -99,6 +99,11 @@ def roi_align_dense(features: Tensor, boxes: Tensor, scale: float, bins: int = 7
     return torch.matmul(wx[:, None], strips).permute(0, 3, 1, 2)
 
 
+def rows(values: Tensor, which: Tensor) -> Tensor:
+    """values[b, which[b, k]]: of [B, N, ...] the rows [B, K]."""
+    return values.gather(1, which.view(*which.shape, *(1 for _ in values.shape[2:])).expand(*which.shape, *values.shape[2:]))
+
+
 def area(boxes: Tensor) -> Tensor:
     return (boxes[..., 2:] - boxes[..., :2]).prod(dim=-1)
 

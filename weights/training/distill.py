@@ -5,7 +5,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 import boxes as bx
-from losses import Rois, mean_where, rows
+from losses import Rois, mean_where, of_label
 from model import Config, Heads, SmrNet, autocast
 
 
@@ -39,7 +39,7 @@ class Distiller(nn.Module):
         # Boxes only where the teacher sees a snap: elsewhere its boxes mean nothing.
         best, label = probability[:, 1:].max(dim=1)
         seen = used & (best > 0.5)
-        of = [rows(h.view(len(probability), -1, 4), label[:, None] + 1)[:, 0] for h in (heads.regression, say.regression.float())]
+        of = [of_label(h, label + 1) for h in (heads.regression, say.regression.float())]
         box = F.smooth_l1_loss(*of, beta=1 / 9, reduction="none").sum(dim=1)
         divergence = F.kl_div(heads.scores.log_softmax(dim=1), probability, reduction="none").sum(dim=1)
         losses = {

@@ -1,18 +1,47 @@
-"""A network that learns: its running average, its optimiser, its checkpoint."""
+"""A network that learns: its running average, its optimiser, its rate, its batch norm, its checkpoint."""
 
 import json
+import math
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 
+from data import CLASSES, DIRECTED
 from model import Config, SmrNet
 
+WARMUP = 200  # steps
 EMA_EVERY, EMA_DECAY = 4, 0.998
+
+
+def to_learn(config: Config) -> Config:
+    """A configuration for training: what the labels have, and no temperature, which fits the weights that it was measured with."""
+    return replace(config, classes=[*CLASSES], directed=[*DIRECTED], pose=True, temperature=1.0)
+
+
+def rate(highest: float, step: int, done: float) -> float:
+    """Warms up, then falls to zero along a half cosine; `done` is the share of the run."""
+    return highest * min(1.0, (step + 1) / WARMUP) * 0.5 * (1 + math.cos(math.pi * min(1.0, done)))
 
 
 def norms(model: nn.Module) -> list[nn.BatchNorm2d]:
     return [m for m in model.modules() if isinstance(m, nn.BatchNorm2d)]
+
+
+@torch.no_grad()
+def measure_statistics(model: SmrNet, batches: Iterable[Tensor]) -> None:
+    """Batch norm statistics from normalised batches such as training has; the network is left in training mode.
+
+    Pictures one by one would leave out how they differ from each other, and give each layer an input
+    that the layers before had normalised by that picture alone."""
+    for m in norms(model):
+        m.reset_running_stats()
+        m.momentum = None  # a plain average
+    model.train()
+    for images in batches:
+        model.features(images, {})
 
 
 class Learner:

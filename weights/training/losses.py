@@ -62,11 +62,6 @@ def match_anchors(anchors: Tensor, truth: Truth) -> tuple[Tensor, Tensor, Tensor
     return positive, negative, which
 
 
-def rows(values: Tensor, which: Tensor) -> Tensor:
-    """values[b, which[b, k]]: of [B, N, ...] the rows [B, K]."""
-    return values.gather(1, which.view(*which.shape, *(1 for _ in values.shape[2:])).expand(*which.shape, *values.shape[2:]))
-
-
 def mean_where(values: Tensor, which: Tensor) -> Tensor:
     """The mean of the values where `which` is true, 0 where it nowhere is; what is not finite elsewhere does no harm."""
     return values.where(which, 0.0).sum() / which.sum().clamp(min=1)
@@ -81,8 +76,8 @@ def rpn_loss(logits: Tensor, deltas: Tensor, anchors: Tensor, truth: Truth) -> t
     objectness = entropy.where(~unused, 0.0).sum() / total
     # Anchors without a snap have their own box as what is wanted.
     chosen = anchors[index]
-    boxes = rows(truth.boxes, which.gather(1, index)).where(is_positive[..., None], chosen)
-    error = F.smooth_l1_loss(rows(deltas, index), bx.encode(boxes, chosen, bx.RPN_WEIGHTS), beta=1 / 9, reduction="none")
+    boxes = bx.rows(truth.boxes, which.gather(1, index)).where(is_positive[..., None], chosen)
+    error = F.smooth_l1_loss(bx.rows(deltas, index), bx.encode(boxes, chosen, bx.RPN_WEIGHTS), beta=1 / 9, reduction="none")
     return objectness, error.where(is_positive[..., None], 0.0).sum() / total
 
 
@@ -117,13 +112,13 @@ def sample_rois(proposals: Tensor, there: Tensor, truth: Truth) -> Rois:
     first = torch.rand_like(best).where(snaps.any(dim=1, keepdim=True), by_rank)
     index, is_positive, unused = _sample(positive, negative, first, ROIS, 0.25)
     which = which.gather(1, index)
-    labels = rows(truth.labels, which).where(is_positive, 0).where(~unused, -1)
-    return Rois(rows(boxes, index), labels, rows(truth.boxes, which), rows(truth.yaw, which), rows(truth.whole, which), index < proposals.shape[1])
+    labels = bx.rows(truth.labels, which).where(is_positive, 0).where(~unused, -1)
+    return Rois(bx.rows(boxes, index), labels, bx.rows(truth.boxes, which), bx.rows(truth.yaw, which), bx.rows(truth.whole, which), index < proposals.shape[1])
 
 
-def _of_label(regression: Tensor, labels: Tensor) -> Tensor:
+def of_label(regression: Tensor, labels: Tensor) -> Tensor:
     """Each region's deltas [R, 4] for its own class."""
-    return rows(regression.view(len(labels), -1, 4), labels.clamp(min=0)[:, None])[:, 0]
+    return bx.rows(regression.view(len(labels), -1, 4), labels.clamp(min=0)[:, None])[:, 0]
 
 
 def roi_loss(heads: Heads, rois: Rois) -> tuple[Tensor, Tensor]:
@@ -131,7 +126,7 @@ def roi_loss(heads: Heads, rois: Rois) -> tuple[Tensor, Tensor]:
     classification = mean_where(F.cross_entropy(heads.scores, rois.labels.clamp(min=0), reduction="none"), used)
     boxes = rois.truth.where(positive[:, None], rois.boxes)
     wanted = bx.encode(boxes, rois.boxes, bx.ROI_WEIGHTS).where(positive[:, None], 0.0)
-    error = F.smooth_l1_loss(_of_label(heads.regression, rois.labels), wanted, beta=1 / 9, reduction="none").sum(dim=1)
+    error = F.smooth_l1_loss(of_label(heads.regression, rois.labels), wanted, beta=1 / 9, reduction="none").sum(dim=1)
     return classification, error.where(positive, 0.0).sum() / used.sum().clamp(min=1)
 
 
@@ -140,7 +135,7 @@ def pose_losses(heads: Heads, rois: Rois, pixels_per_mm: float) -> dict[str, Ten
     positive = rois.labels > 0
     directed = positive & rois.yaw.isfinite()
     found = positive & rois.proposed
-    boxes = bx.decode(_of_label(heads.regression.detach(), rois.labels), rois.boxes, bx.ROI_WEIGHTS)
+    boxes = bx.decode(of_label(heads.regression.detach(), rois.labels), rois.boxes, bx.ROI_WEIGHTS)
     error = (boxes[:, :2] + boxes[:, 2:] - rois.truth[:, :2] - rois.truth[:, 2:]) / 2
     error = error.where(found[:, None], 0.0)
     return {

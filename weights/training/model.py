@@ -395,7 +395,7 @@ def propose(logits: Tensor, deltas: Tensor, anchors: Tensor, size, before: int =
 def propose_batch(logits: Tensor, deltas: Tensor, anchors: Tensor, size, before: int, after: int) -> tuple[Tensor, Tensor]:
     """`propose` of a batch without a loop over its pictures: proposals [B, after, 4], best first, and which of them there are."""
     top, index = logits.topk(min(before, logits.shape[1]), dim=1)
-    boxes = bx.decode(deltas.gather(1, index[..., None].expand(-1, -1, 4)), anchors[index], bx.RPN_WEIGHTS)
+    boxes = bx.decode(bx.rows(deltas, index), anchors[index], bx.RPN_WEIGHTS)
     boxes = ops.clip_boxes_to_image(boxes, size)
     there = (boxes[..., 2:] - boxes[..., :2]).amin(dim=2) >= 1e-3
     # NMS: a box goes if a better one that stays covers it. Rounds of this settle from the best box down.
@@ -406,7 +406,7 @@ def propose_batch(logits: Tensor, deltas: Tensor, anchors: Tensor, size, before:
         keep = there & ~(covers & keep[:, :, None]).any(dim=1)
     rank = torch.arange(top.shape[1], 0, -1, device=top.device)
     left, index = (rank * keep).topk(min(after, top.shape[1]), dim=1)
-    return boxes.gather(1, index[..., None].expand(-1, -1, 4)), left > 0
+    return bx.rows(boxes, index), left > 0
 
 
 @dataclass

@@ -12,9 +12,9 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+import boxes as bx
 from augment import jpeg, photometric
 from data import CLASSES, DIRECTED, JITTER, LEFT_SLANTED, LEFT_UPRIGHT, UPRIGHT, WHOLE_SHARE, WINDOWS, picture_path, read_coco, read_picture, scaled
-from losses import rows
 from truth import Truth
 
 SNAPS = 8  # of one picture, at most; a picture with more is left out
@@ -116,7 +116,7 @@ class Pool:
         # Whole pictures that are nearly whole in the window; else such as fill it.
         filled = (ratios.minimum(1 / ratios) if whole else ratios.clamp(max=1)).amin(dim=-1)
         best = filled.argmax(dim=1, keepdim=True)  # the first of the best
-        return index.gather(1, best)[:, 0], rows(sizes, best)[:, 0], turned.gather(1, best)[:, 0]
+        return index.gather(1, best)[:, 0], bx.rows(sizes, best)[:, 0], turned.gather(1, best)[:, 0]
 
     def _read(self, index: Tensor, x: Tensor, y: Tensor) -> Tensor:
         """Bilinear samples [B, ..., 3] in 0 to 255 of each picture at points, pixel (0, 0) being centred at (0.5, 0.5)."""
@@ -141,7 +141,7 @@ class Pool:
 
         there = labels > 0
         which = (rand(TRIALS, SNAPS) * there[:, None]).argmax(dim=2)
-        box = rows(boxes, which)
+        box = bx.rows(boxes, which)
         low = (box[..., 2:] - crop[:, None]).ceil().clamp(min=0).minimum(span)
         high = torch.maximum(box[..., :2].floor().minimum(span), low)
         reach = 0.3 * (box[..., 2:] - box[..., :2]) * (rand(TRIALS, 1) < 0.15)  # let the crop cut it
@@ -149,7 +149,7 @@ class Pool:
         corners = self._integers(low, high, generator)
         lost = self._cut(boxes[:, None], labels[:, None], yaw[:, None], corners[:, :, None], crop[:, None, None])[2].sum(dim=2)
         # Of trials that lose equally few snaps the first.
-        around = rows(corners, (lost + torch.arange(TRIALS, device=self.device) / TRIALS).argmin(dim=1, keepdim=True))[:, 0]
+        around = bx.rows(corners, (lost + torch.arange(TRIALS, device=self.device) / TRIALS).argmin(dim=1, keepdim=True))[:, 0]
         # Look-alikes carry no box: of some places the one with most contrast.
         places = self._integers(torch.zeros_like(span).expand(-1, PLACES, -1), span.expand(-1, PLACES, -1), generator)
         grid = (torch.arange(16, device=self.device) + 0.5) / 16
@@ -158,7 +158,7 @@ class Pool:
         y = (places[..., 1:] + grid * crop[:, None, 1:]) * step[:, None, 1:]
         shape = (batch, PLACES, 16, 16)
         green = self._read(index, x[:, :, None].expand(shape), y[..., None].expand(shape))[..., 1]
-        outstanding = rows(places, green.flatten(2).std(dim=2).argmax(dim=1, keepdim=True))[:, 0]
+        outstanding = bx.rows(places, green.flatten(2).std(dim=2).argmax(dim=1, keepdim=True))[:, 0]
         free = ~there.any(dim=1, keepdim=True) | (rand(1) < 0.1)
         return outstanding.where(free, around)
 
@@ -166,7 +166,7 @@ class Pool:
     def _cut(boxes: Tensor, labels: Tensor, yaw: Tensor, corner: Tensor, crop: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """data.cut of many: boxes in crops, which are kept, which are to be ignored, and which are uncut."""
         moved = (boxes - torch.cat([corner, corner], dim=-1)).clamp(min=0).minimum(torch.cat([crop, crop], dim=-1))
-        area, seen = ((b[..., 2:] - b[..., :2]).prod(dim=-1) for b in (boxes, moved))
+        area, seen = (bx.area(b) for b in (boxes, moved))
         left = seen / area.clamp(min=1e-6)
         directed = sum(labels == CLASSES.index(c) + 1 for c in DIRECTED) > 0
         slanted = directed & ~((2 * yaw).sin().abs() < UPRIGHT)  # an unknown direction too

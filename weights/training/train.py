@@ -11,7 +11,6 @@ import argparse
 import ctypes
 import glob
 import json
-import math
 import os
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -27,15 +26,14 @@ import torch
 from torch import Tensor
 
 import weightfile
-from data import CLASSES, DIRECTED, JITTER, Chunk, Sampler, normalise
+from data import JITTER, Chunk, Sampler, normalise
 from distill import Distiller
-from learner import Learner, norms
+from learner import Learner, measure_statistics, rate, to_learn
 from losses import detection_losses
 from metrics import detect_folder, figures, line
 from model import NETWORKS, Config, SmrNet, Variant
 from truth import Truth
 
-WARMUP = 200  # steps
 LOOK_EVERY = 100  # steps between looks for new folders
 AREA = 12 * 192 * 192  # pixels of a batch
 STATISTICS_BATCHES = 60
@@ -53,22 +51,12 @@ def keep_memory() -> None:
         pass
 
 
-@torch.no_grad()
 def recompute_statistics(model: SmrNet, chunks: list[Chunk], seed: int) -> None:
-    """Batch norm statistics from batches such as training has.
-
-    Pictures one by one would leave out how they differ from each other, and give each layer an input
-    that the layers before had normalised by that picture alone."""
-    for m in norms(model):
-        m.reset_running_stats()
-        m.momentum = None  # a plain average
-    model.train()
+    """Batch norm statistics from STATISTICS_BATCHES views of the folders, for inference."""
     device = next(model.parameters()).device
     sampler = Sampler(chunks, model.config.pixels_per_mm, AREA, seed)
-    for step in range(STATISTICS_BATCHES):
-        pixels, _ = sampler.batch(step)
-        images = normalise(pixels, model.config.mean, model.config.std)
-        model.features(images.to(device, memory_format=torch.channels_last), {})
+    batches = (normalise(sampler.batch(step)[0], model.config.mean, model.config.std) for step in range(STATISTICS_BATCHES))
+    measure_statistics(model, (images.to(device, memory_format=torch.channels_last) for images in batches))
     model.eval()
 
 
@@ -133,9 +121,7 @@ class Run:
             variant = Variant(safe=not args.no_safe, msff=not args.no_msff, rw=not args.no_rw)
             kept = {k: getattr(like, k) for k in SHARED}
             config = Config(**kept, **NETWORKS[args.network], variant=variant)
-        # A temperature fits the weights that it was measured with.
-        config.classes, config.directed, config.pose, config.temperature = [*CLASSES], [*DIRECTED], True, 1.0
-        return config
+        return to_learn(config)
 
     def chunk(self, folder: str) -> Chunk:
         return Chunk(Path(folder), self.config.pixels_per_mm * JITTER, self.args.cache or self.args.out / "cache")
@@ -177,9 +163,7 @@ class Run:
         return [count for since, count in self.plan["steps"] if since <= self.step][-1]
 
     def rate(self) -> float:
-        """Warms up, then falls to zero along a half cosine."""
-        done = min(1.0, self.step / self.steps())
-        return self.args.lr * min(1.0, (self.step + 1) / WARMUP) * 0.5 * (1 + math.cos(math.pi * done))
+        return rate(self.args.lr, self.step, self.step / self.steps())
 
     def load(self, step: int) -> Future[tuple[Tensor, Truth]]:
         """A step's views, made from the folders at hand now."""
@@ -203,8 +187,8 @@ class Run:
         report = {"norm": self.learner.learn(sum(losses.values()), self.rate())}
         if self.student:
             more, _ = detection_losses(self.student.model, images, truth, self.student.extra, fused.detach(), scales)
-            rate = self.rate() * self.args.student_lr / self.args.lr
-            report |= {"student_norm": self.student.learn(sum(more.values()), rate)}
+            student_rate = self.rate() * self.args.student_lr / self.args.lr
+            report |= {"student_norm": self.student.learn(sum(more.values()), student_rate)}
             losses |= {f"student_{k}": v for k, v in more.items()}
         self.step += 1
         self.seen += len(images)

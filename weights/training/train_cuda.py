@@ -6,7 +6,6 @@ bit: which pictures a step sees depends on how quickly they come. OUT/log tells.
 """
 
 import argparse
-import math
 import threading
 import time
 from pathlib import Path
@@ -15,12 +14,11 @@ from queue import Queue
 import torch
 
 import weightfile
-from data import CLASSES, DIRECTED, normalise
-from learner import Learner, norms
+from data import normalise
+from learner import Learner, measure_statistics, rate, to_learn
 from losses import detection_losses
 from pool import Part, Pool
 
-WARMUP = 200  # steps
 STATISTICS_BATCHES = 100
 LOG_EVERY = 50
 
@@ -48,9 +46,7 @@ class Training:
         self.device = "cuda" if torch.cuda.is_available() else "cpu"
         torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
         init = weightfile.load(args.init)
-        config = self.config = init.config
-        # A temperature fits the weights that it was measured with.
-        config.classes, config.directed, config.pose, config.temperature = [*CLASSES], [*DIRECTED], True, 1.0
+        config = self.config = to_learn(init.config)
         self.learner = Learner(config, self.device, args.weight_decay)
         self.learner.begin_with(init, args.init)
         self.pool = Pool(config.pixels_per_mm, args.room, self.device)
@@ -74,17 +70,11 @@ class Training:
                     raise SystemExit(f"--room: {self.args.room} pixels are full with {len(self.pool)} pictures, expected room for {least}")
                 self.queue = Queue()  # full: what comes is left
 
-    @torch.no_grad()
     def measure_statistics(self) -> None:
         """Batch norm from now on uses what it is on average over such batches."""
         model, ema = self.learner.model, self.learner.ema
-        for m in norms(model):
-            m.reset_running_stats()
-            m.momentum = None  # a plain average
-        model.train()
-        for i in range(STATISTICS_BATCHES):
-            pixels, _ = self.pool.batch(10**6 + i, self.args.area, self.args.seed)
-            model.features(self.normalised(pixels), {})
+        views = (self.pool.batch(10**6 + i, self.args.area, self.args.seed)[0] for i in range(STATISTICS_BATCHES))
+        measure_statistics(model, map(self.normalised, views))
         self.stand()
         ema.load_state_dict({k: v for k, v in model.state_dict().items() if "running" in k}, strict=False)
 
@@ -98,8 +88,7 @@ class Training:
     def train_step(self) -> dict[str, torch.Tensor]:
         pixels, truth = self.pool.batch(self.step, self.args.area, self.args.seed)
         losses, _ = detection_losses(self.learner.model, self.normalised(pixels), truth)
-        rate = self.args.lr * min(1.0, (self.step + 1) / WARMUP) * 0.5 * (1 + math.cos(math.pi * min(1.0, self.done())))
-        norm = self.learner.learn(sum(losses.values()), rate)
+        norm = self.learner.learn(sum(losses.values()), rate(self.args.lr, self.step, self.done()))
         self.step += 1
         self.seen += len(pixels)
         self.learner.average(self.step)

@@ -44,6 +44,8 @@ snaps larger-a 19073 --kind a --force mild,scale=1.25
 snaps larger-b 19074 --kind b --force mild,scale=1.25
 snaps slots 19081 --kind b --force mild,slots=2
 snaps hole 19082 --kind b --force mild,hole=1..2.5
+snaps mild-a 19093 --kind a --force mild
+snaps mild-b 19094 --kind b --force mild
 snaps mini-a 19091 --kind a --force mild,frame=gelsight-mini
 snaps mini-b 19092 --kind b --force mild,frame=gelsight-mini
 snaps yaw 19101 --kind a --force cut=no

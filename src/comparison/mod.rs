@@ -168,7 +168,7 @@ pub(crate) fn compare(
             );
             let want =
                 want.get(id).ok_or_else(|| Error::tensor("compare", name, "a value", "none"))?;
-            if let (Value::F32(got), Value::F32(want)) = (got, want) {
+            if let (Value::F32(got), Value::F32(want), true) = (got, want, step.op.keeps_near()) {
                 tensor.drift = Some(match ids {
                     None => tensor::drift(got.data(), want.data()),
                     Some(count) => {

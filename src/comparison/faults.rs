@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{How, Outcome, Values, compare};
+use super::{Choices, How, Outcome, Values, compare};
 use crate::graph::TensorId;
 use crate::model::{Network, Wanted, Weights};
 use crate::ops::Crop;
@@ -166,6 +166,25 @@ fn a_wrong_choice_is_found() {
 fn one_wrong_element_is_found() {
     let tensors = ["rpn.decode.boxes", "proposals", "detections.boxes", "detections.scores"];
     Run::new().finds("one element off", &tensors, |value| floats(value)[5] += 0.001);
+}
+
+/// Of one detection the yaw is a degree off. Its operation fails, whatever it shows; the drift tells only of
+/// a class that has a direction.
+#[test]
+fn a_yaw_that_nobody_is_told_is_no_drift() {
+    let run = Run::new();
+    let chosen =
+        Choices::read(&run.network, &run.healthy).expect("what it chose").detections.chosen;
+    let drift_of = |class: u32| {
+        let row = chosen.iter().position(|(_, c)| *c == class).expect("a detection of the class");
+        let outcome =
+            run.finds("a yaw off", &["detections.pose"], |pose| floats(pose)[5 * row] += 1.0);
+        let mut tensors = outcome.stages.iter().flatten();
+        tensors.find(|t| t.name == "detections.pose").and_then(|t| t.drift).expect("a drift")
+    };
+    assert_eq!(run.network.config.directed, ["A"]);
+    assert!(drift_of(1) > 0.0);
+    assert_eq!(drift_of(2), 0.0);
 }
 
 /// The largest weight of each layer is 1 % larger on the device. One that only meets units which are zero in

@@ -35,7 +35,7 @@ pub use tensor::{TensorComparison, relative_l2};
 use crate::error::{Error, Result};
 use crate::graph::TensorId;
 use crate::kernels;
-use crate::model::Network;
+use crate::model::{ModelConfig, Network};
 use crate::precision::Precision;
 use crate::tensor::{Tensor, Value};
 use choice::{Id, Moved, Side};
@@ -168,12 +168,20 @@ pub(crate) fn compare(
             );
             let want =
                 want.get(id).ok_or_else(|| Error::tensor("compare", name, "a value", "none"))?;
-            if let (Value::F32(got), Value::F32(want), true) = (got, want, step.op.keeps_near()) {
+            if let (Value::F32(got), Value::F32(want)) = (got, want) {
                 tensor.drift = Some(match ids {
                     None => tensor::drift(got.data(), want.data()),
                     Some(count) => {
-                        let (ours, theirs) = shared(&device.ids[count], &reference.ids[count]);
-                        tensor::drift(&pick(got, &ours), &pick(want, &theirs))
+                        let ids = &device.ids[count];
+                        let (ours, theirs) = shared(ids, &reference.ids[count]);
+                        let (mut got, mut want) = (pick(got, &ours), pick(want, &theirs));
+                        if network.pose == Some(*id) {
+                            for rows in [&mut got, &mut want] {
+                                let classes = ours.iter().map(|row| ids[*row].1);
+                                drop_untold_yaws(&network.config, classes, rows);
+                            }
+                        }
+                        tensor::drift(&got, &want)
                     }
                 });
             }
@@ -265,6 +273,16 @@ fn shared(ours: &[Id], theirs: &[Id]) -> (Vec<usize>, Vec<usize>) {
 fn pick(tensor: &Tensor, rows: &[usize]) -> Vec<f32> {
     let width: usize = tensor.dims().iter().skip(1).product();
     rows.iter().flat_map(|r| &tensor.data()[r * width..(r + 1) * width]).copied().collect()
+}
+
+/// Zero in place of the yaws of classes that have no direction. Nobody is told them, and nothing taught
+/// the network their vectors: rounding turns a short one by any angle.
+fn drop_untold_yaws(config: &ModelConfig, classes: impl Iterator<Item = u32>, poses: &mut [f32]) {
+    for ([yaw, ..], class) in poses.as_chunks_mut::<5>().0.iter_mut().zip(classes) {
+        if !config.directed.contains(&config.classes[class as usize - 1]) {
+            *yaw = 0.0;
+        }
+    }
 }
 
 fn float<'a>(network: &Network, values: &'a Values, id: TensorId) -> Result<&'a Tensor> {

@@ -23,8 +23,8 @@ pub struct TensorComparison {
     pub bias: Option<f64>,
     /// How far the device is from the reference that saw the picture alone: what the errors of all
     /// operations so far have become, relative in the L2 norm, in the rows that both chose. `None`
-    /// for integers, and for angles: the vectors that they come from have one. A norm below 1, such as
-    /// that of the scores of a picture without a snap, counts as 1, a score's scale.
+    /// for integers. A norm below 1, such as that of the scores of a picture without a snap, counts
+    /// as 1, a score's scale. Yaws of classes without a direction count for nothing.
     pub drift: Option<f64>,
     /// What is wrong, in words.
     pub failure: Option<String>,

@@ -69,11 +69,6 @@ impl Op for DecodePose {
         Ok(vec![output.into()])
     }
 
-    /// Its first number is an angle, also of a class that has no direction, whose vector may be short.
-    fn keeps_near(&self) -> bool {
-        false
-    }
-
     /// The direction comes from a quotient (2.5 ULP), a polynomial that is off by 2e-7 rad at most and
     /// at most six additions and products of numbers up to π: 40ε in all, in radians. e^x is off by
     /// (3 + 2|x|) ULP, each at most 2ε; the logistic function has it in numerator and denominator.

@@ -115,12 +115,6 @@ pub trait Op: Any + Debug + Send + Sync {
     fn defined(&self, reference: &[&Value], _inputs: &[&Value]) -> Vec<usize> {
         reference.iter().map(|v| v.spec().shape.elements()).collect()
     }
-
-    /// Whether inputs that are near give outputs that are near, so that a distance in the L2 norm says
-    /// how far errors have grown. Not so of an angle: it wraps, and a short vector hardly has one.
-    fn keeps_near(&self) -> bool {
-        true
-    }
 }
 
 /// How far one output may be from the reference's.

@@ -10,8 +10,9 @@ from pathlib import Path
 import torch
 
 import weightfile
-from data import JITTER, Chunk
-from train import recompute_statistics
+from learner import measure_statistics
+from parts import cached
+from pool import AREA, Pool
 
 
 def main() -> None:
@@ -31,8 +32,8 @@ def main() -> None:
         raise SystemExit(f"{args.weights[0]}: expected the tensors of {args.weights[1]}")
     second.load_state_dict({k: other[k].lerp(v, args.share) if v.is_floating_point() else v for k, v in state.items()})
     if args.statistics:
-        chunks = [Chunk(folder, second.config.pixels_per_mm * JITTER, args.cache) for folder in args.statistics]
-        recompute_statistics(second, chunks, args.seed)
+        parts = [cached(folder, second.config.pixels_per_mm, args.cache) for folder in args.statistics]
+        measure_statistics(second, Pool.of(parts, second.config.pixels_per_mm), AREA, args.seed)
     elif any("running" in k and not torch.equal(v, other[k]) for k, v in state.items()):
         raise SystemExit(f"{args.weights[1]}: expected the batch norm statistics of {args.weights[0]}; else give --statistics")
     weightfile.save(second, args.out)

@@ -14,6 +14,7 @@ Figures before and after are printed, after on the same pictures: others must ju
 import argparse
 import math
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
@@ -54,11 +55,10 @@ class Looks:
             found.append((truth, detections, right(truth, detections)))
         return found
 
-    def scores(self, temperature: float) -> tuple[np.ndarray, np.ndarray]:
+    def scores(self, temperature: float) -> Iterator[np.ndarray]:
         """Scores and whether they are right, of all detections."""
         found = self.detections(temperature)
         return (np.concatenate(parts) for parts in zip(*((d["scores"].numpy(), (f >= 0).numpy()) for _, d, f in found)))
-
 
     def logits(self) -> tuple[torch.Tensor, torch.Tensor, np.ndarray]:
         """Of all detections at temperature 1: the class logits [D, classes + 1], the label [D], whether it is right [D]."""

@@ -2,18 +2,19 @@
 
 import json
 import math
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 
-from data import CLASSES, DIRECTED
+from data import CLASSES, DIRECTED, normalise
 from model import Config, SmrNet
+from pool import Pool
 
 WARMUP = 200  # steps
 EMA_EVERY, EMA_DECAY = 4, 0.998
+STATISTICS_BATCHES = 100
 
 
 def to_learn(config: Config) -> Config:
@@ -30,9 +31,14 @@ def norms(model: nn.Module) -> list[nn.BatchNorm2d]:
     return [m for m in model.modules() if isinstance(m, nn.BatchNorm2d)]
 
 
+def network_views(pixels: Tensor, config: Config, device: str) -> Tensor:
+    """A batch of a pool as the network reads it."""
+    return normalise(pixels, config.mean, config.std).to(device, memory_format=torch.channels_last)
+
+
 @torch.no_grad()
-def measure_statistics(model: SmrNet, batches: Iterable[Tensor]) -> None:
-    """Batch norm statistics from normalised batches such as training has; the network is left in training mode.
+def measure_statistics(model: SmrNet, pool: Pool, area: int, seed: int) -> None:
+    """Batch norm statistics from batches such as training has, none of which a run sees; the network is left in training mode.
 
     Pictures one by one would leave out how they differ from each other, and give each layer an input
     that the layers before had normalised by that picture alone."""
@@ -40,8 +46,10 @@ def measure_statistics(model: SmrNet, batches: Iterable[Tensor]) -> None:
         m.reset_running_stats()
         m.momentum = None  # a plain average
     model.train()
-    for images in batches:
-        model.features(images, {})
+    device = str(next(model.parameters()).device)
+    for i in range(STATISTICS_BATCHES):
+        pixels, _ = pool.batch(10**6 + i, area, seed)
+        model.features(network_views(pixels, model.config, device), {})
 
 
 class Learner:

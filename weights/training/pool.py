@@ -1,71 +1,51 @@
 """Small pictures in a device's memory, and batches of views of them, drawn and cut there at once.
 
-`pack` makes a folder's pictures small, on any processor; a `Pool` takes such parts up while it is in use. A batch
-depends on the pool and the seed alone. What a view is, data.py says: the two draw alike.
+A `Pool` takes parts up while it is in use. A batch depends on the pool, the step and the seed alone.
 """
-
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
 
 import boxes as bx
-from augment import jpeg, photometric
-from data import CLASSES, DIRECTED, JITTER, LEFT_SLANTED, LEFT_UPRIGHT, UPRIGHT, WHOLE_SHARE, WINDOWS, picture_path, read_coco, read_picture, scaled
+from augment import photometric
+from data import CLASSES, DIRECTED
+from parts import JITTER, SNAPS, Part
 from truth import Truth
 
-SNAPS = 8  # of one picture, at most; a picture with more is left out
+# Side of a step's views: one of these, or whole pictures in the rest of the steps.
+WINDOWS = (128, 160, 192, 224, 256)
+WHOLE_SHARE = 0.25
 # Sides of whole pictures' windows, height and width or the other way round; each shape is one that a card must learn to compute.
 WHOLE = ((320, 320), (384, 384), (256, 256), (256, 320), (192, 256), (320, 416), (160, 192))
 MOST_VIEWS = 192
+AREA = 12 * 192 * 192  # pixels of a batch for a few cores
 CANDIDATES, TRIALS, PLACES = 24, 8, 3
+# A cut part's upright box is its whole's clipped box only if the part stands upright or is round, or if little is cut.
+LEFT_UPRIGHT, LEFT_SLANTED, UPRIGHT = 0.7, 0.9, 0.35
 
 
-@dataclass
-class Part:
-    """Small pictures of a folder, packed."""
-
-    pixels: np.ndarray  # [sum of h * w, 3], uint8
-    sizes: np.ndarray  # [P, 2], height and width
-    scales: np.ndarray  # [P], pixels a millimetre
-    snaps: np.ndarray  # [P, SNAPS, 7]: box, label (0: none), yaw in radians or NaN, whole
-
-    def save(self, file: Path) -> None:
-        part = file.with_suffix(".part")
-        with open(part, "wb") as out:
-            np.savez(out, **{name: getattr(self, name) for name in Part.__dataclass_fields__})
-        part.rename(file)
-
-    @staticmethod
-    def load(file: Path) -> "Part":
-        with np.load(file) as saved:
-            return Part(*(saved[name] for name in Part.__dataclass_fields__))
+def cut(boxes: Tensor, labels: Tensor, yaw: Tensor, corner: Tensor, crop: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Boxes in the pixels of crops (w, h) at corners (x, y), which are kept, which are to be ignored, and which are uncut."""
+    moved = (boxes - torch.cat([corner, corner], dim=-1)).clamp(min=0).minimum(torch.cat([crop, crop], dim=-1))
+    area, seen = (bx.area(b) for b in (boxes, moved))
+    left = seen / area.clamp(min=1e-6)
+    directed = sum(labels == CLASSES.index(c) + 1 for c in DIRECTED) > 0
+    slanted = directed & ~((2 * yaw).sin().abs() < UPRIGHT)  # an unknown direction too
+    keep = (left >= torch.where(slanted, LEFT_SLANTED, LEFT_UPRIGHT)) & (labels > 0)
+    return moved, keep, (seen > 0) & ~keep & (labels > 0), left > 0.995
 
 
-def pack(folder: Path, pixels_per_mm: float, seed: int) -> Part:
-    """A COCO folder's pictures at the largest scale that training asks for, some of them through JPEG."""
-    rng = np.random.default_rng(seed)
-    pixels, sizes, scales, snaps = [], [], [], []
-    for entry in read_coco(folder):
-        factor = min(1.0, pixels_per_mm * JITTER * entry.mm_per_pixel)
-        h, w = (scaled(side, factor) for side in entry.size)
-        ratio = np.array([w / entry.size[1], h / entry.size[0]] * 2, np.float32)
-        boxes = (entry.snaps.boxes * ratio).clip(0, [w, h, w, h])
-        wide = (boxes[:, 2:] - boxes[:, :2]).min(axis=1, initial=np.inf) >= 2
-        if wide.sum() > SNAPS:
-            continue
-        small = Image.fromarray(read_picture(picture_path(folder, entry.name))).resize((w, h), Image.Resampling.BILINEAR)
-        table = np.zeros((SNAPS, 7), np.float32)
-        found = np.column_stack([boxes, entry.snaps.labels, entry.snaps.yaw, entry.snaps.whole])[wide]
-        table[: len(found)] = found
-        pixels.append(jpeg(np.asarray(small), rng).reshape(-1, 3))
-        sizes.append((h, w))
-        scales.append(factor / entry.mm_per_pixel)
-        snaps.append(table)
-    return Part(np.concatenate(pixels), np.array(sizes), np.array(scales, np.float32), np.stack(snaps))
+def orient(boxes: Tensor, labels: Tensor, yaw: Tensor, whole: Tensor, keep: Tensor, ignored: Tensor, crop: Tensor, mirror: Tensor, turned: Tensor) -> Truth:
+    """The crops' snaps, flipped and turned as their pixels: left for right, then top for bottom, then x for y."""
+    width, height = crop[:, None, 0], crop[:, None, 1]
+    x1, y1, x2, y2 = boxes.unbind(dim=-1)
+    across, down, side = mirror[:, :1], mirror[:, 1:], turned[:, None]
+    x1, x2, yaw = (width - x2).where(across, x1), (width - x1).where(across, x2), (torch.pi - yaw).where(across, yaw)
+    y1, y2, yaw = (height - y2).where(down, y1), (height - y1).where(down, y2), (-yaw).where(down, yaw)
+    boxes = torch.stack([y1, x1, y2, x2], dim=-1).where(side[..., None], torch.stack([x1, y1, x2, y2], dim=-1))
+    yaw = (torch.pi / 2 - yaw).where(side, yaw)
+    return Truth(boxes.where(keep[..., None], 0.0), labels.where(keep, 0), yaw, whole, boxes.where(ignored[..., None], 0.0))
 
 
 class Pool:
@@ -80,6 +60,14 @@ class Pool:
         self.sizes = torch.empty(0, 2, device=device)
         self.scales = torch.empty(0, device=device)
         self.snaps = torch.empty(0, SNAPS, 7, device=device)
+
+    @classmethod
+    def of(cls, parts: list[Part], pixels_per_mm: float) -> "Pool":
+        """On the CPU, with room for these parts and no more."""
+        pool = cls(pixels_per_mm, sum(len(part.pixels) for part in parts), "cpu")
+        for part in parts:
+            pool.add(part)
+        return pool
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -147,7 +135,7 @@ class Pool:
         reach = 0.3 * (box[..., 2:] - box[..., :2]) * (rand(TRIALS, 1) < 0.15)  # let the crop cut it
         low, high = (low - reach).clamp(min=0).minimum(span).floor(), (high + reach).clamp(min=0).minimum(span).floor()
         corners = self._integers(low, high, generator)
-        lost = self._cut(boxes[:, None], labels[:, None], yaw[:, None], corners[:, :, None], crop[:, None, None])[2].sum(dim=2)
+        lost = cut(boxes[:, None], labels[:, None], yaw[:, None], corners[:, :, None], crop[:, None, None])[2].sum(dim=2)
         # Of trials that lose equally few snaps the first.
         around = bx.rows(corners, (lost + torch.arange(TRIALS, device=self.device) / TRIALS).argmin(dim=1, keepdim=True))[:, 0]
         # Look-alikes carry no box: of some places the one with most contrast.
@@ -161,17 +149,6 @@ class Pool:
         outstanding = bx.rows(places, green.flatten(2).std(dim=2).argmax(dim=1, keepdim=True))[:, 0]
         free = ~there.any(dim=1, keepdim=True) | (rand(1) < 0.1)
         return outstanding.where(free, around)
-
-    @staticmethod
-    def _cut(boxes: Tensor, labels: Tensor, yaw: Tensor, corner: Tensor, crop: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """data.cut of many: boxes in crops, which are kept, which are to be ignored, and which are uncut."""
-        moved = (boxes - torch.cat([corner, corner], dim=-1)).clamp(min=0).minimum(torch.cat([crop, crop], dim=-1))
-        area, seen = (bx.area(b) for b in (boxes, moved))
-        left = seen / area.clamp(min=1e-6)
-        directed = sum(labels == CLASSES.index(c) + 1 for c in DIRECTED) > 0
-        slanted = directed & ~((2 * yaw).sin().abs() < UPRIGHT)  # an unknown direction too
-        keep = (left >= torch.where(slanted, LEFT_SLANTED, LEFT_UPRIGHT)) & (labels > 0)
-        return moved, keep, (seen > 0) & ~keep & (labels > 0), left > 0.995
 
     def batch(self, step: int, area: int, seed: int) -> tuple[Tensor, Truth]:
         """Pixels [B, 3, h, w] in 0 to 255 and what they show; B * h * w is about `area`, or less where the views are small."""
@@ -191,10 +168,10 @@ class Pool:
         inner = window_size.flip(0).where(turned[:, None], window_size)
         crop = inner.minimum(sizes.flip(-1))
         corner = self._place(index, boxes, labels, yaw, sizes, crop, generator)
-        boxes, keep, ignored, entire = self._cut(boxes, labels, yaw, corner[:, None], crop[:, None])
+        boxes, keep, ignored, entire = cut(boxes, labels, yaw, corner[:, None], crop[:, None])
         mirror = torch.rand(count, 2, generator=generator, device=self.device) < 0.5
         pixels = self._pixels(index, corner, crop, factor, mirror, turned, window)
-        truth = self._truth(boxes, labels, yaw, uncut * entire, keep, ignored, crop, mirror, turned)
+        truth = orient(boxes, labels, yaw, uncut * entire, keep, ignored, crop, mirror, turned)
         return photometric(pixels / 255, key) * 255, truth
 
     def _pixels(self, index: Tensor, corner: Tensor, crop: Tensor, factor: Tensor, mirror: Tensor, turned: Tensor, window: tuple[int, int]) -> Tensor:
@@ -217,15 +194,3 @@ class Pool:
                 sample = self._read(index, x, y)
                 total = sample if total is None else total + sample
         return (total / 4).permute(0, 3, 1, 2).contiguous()
-
-    @staticmethod
-    def _truth(boxes: Tensor, labels: Tensor, yaw: Tensor, whole: Tensor, keep: Tensor, ignored: Tensor, crop: Tensor, mirror: Tensor, turned: Tensor) -> Truth:
-        """The crops' snaps, flipped and turned as their pixels: data.orient of many."""
-        width, height = crop[:, None, 0], crop[:, None, 1]
-        x1, y1, x2, y2 = boxes.unbind(dim=-1)
-        across, down, side = mirror[:, :1], mirror[:, 1:], turned[:, None]
-        x1, x2, yaw = (width - x2).where(across, x1), (width - x1).where(across, x2), (torch.pi - yaw).where(across, yaw)
-        y1, y2, yaw = (height - y2).where(down, y1), (height - y1).where(down, y2), (-yaw).where(down, yaw)
-        boxes = torch.stack([y1, x1, y2, x2], dim=-1).where(side[..., None], torch.stack([x1, y1, x2, y2], dim=-1))
-        yaw = (torch.pi / 2 - yaw).where(side, yaw)
-        return Truth(boxes.where(keep[..., None], 0.0), labels.where(keep, 0), yaw, whole, boxes.where(ignored[..., None], 0.0))

@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 import tempfile
 from pathlib import Path
 
@@ -19,7 +20,7 @@ import weightfile
 from anchors import with_ratios
 from calibrate import SHARE, fit_deviations
 from count import multiply_adds, stored_bytes
-from data import Snaps, cut, network_input, normalise, orient, read_coco, read_picture, resize_square
+from data import network_input, normalise, read_coco, read_picture, resize_square
 from export import random_model
 from gates import PoolChannels, PoolSpace, ScaleChannels, ScaleSpace
 from learner import Learner
@@ -32,6 +33,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def same(name: str, got: torch.Tensor, truth: torch.Tensor, bound: float = 1e-10) -> None:
+    assert got.shape == truth.shape, f"{name}: {got.shape}, expected {truth.shape}"
     error = (got - truth).abs().max().item()
     assert error <= bound, f"{name}: {error} > {bound}"
     print(f"ok {name}: {error:.1e}")
@@ -188,53 +190,6 @@ def more_anchors() -> None:
     (logits, boxes), (more_logits, more_boxes) = found
     same("more anchors, objectness", more_logits, logits[:, [0, 0, 1, 2, 2]])
     same("more anchors, boxes", more_boxes, boxes[:, [0, 0, 1, 2, 2]])
-
-
-def turns() -> None:
-    # A 4 x 2 snap with its box at (10, 20) in a picture of 100 x 60, its barb 30 degrees below +x: right and down.
-    picture = np.zeros((60, 100, 3), np.uint8)
-    picture[21, 13] = 255
-    boxes = np.array([[10, 20, 14, 22]], np.float32)
-    cases = {
-        (False, False, False): ([10, 20, 14, 22], 30, (21, 13)),
-        (True, False, False): ([86, 20, 90, 22], 150, (21, 86)),  # left and down
-        (False, True, False): ([10, 38, 14, 40], -30, (38, 13)),  # right and up
-        (True, True, False): ([86, 38, 90, 40], -150, (38, 86)),  # half a turn
-        (False, False, True): ([20, 10, 22, 14], 60, (13, 21)),  # x for y
-        (True, False, True): ([20, 86, 22, 90], -60, (86, 21)),  # a quarter turn: right becomes up
-        (False, True, True): ([38, 10, 40, 14], 120, (13, 38)),  # the other: right becomes down
-        (True, True, True): ([38, 86, 40, 90], -120, (86, 38)),
-    }
-    for flips, (box, degrees, pixel) in cases.items():
-        snaps = Snaps(boxes, np.array([1]), np.radians(np.array([30], np.float32)), np.array([True]))
-        seen, found = orient(picture, snaps, *flips)
-        assert seen[pixel].tolist() == [255] * 3, flips
-        assert found.boxes.tolist() == [box], flips
-        off = (math.degrees(found.yaw[0]) - degrees + 180) % 360 - 180
-        assert abs(off) < 1e-4, f"{flips}: {off}"
-        # A part without a direction stays without.
-        assert np.isnan(orient(picture, Snaps(boxes, np.array([2]), np.array([np.nan], np.float32), np.array([True])), *flips)[1].yaw).all()
-    print("ok turns: 8")
-
-
-def cuts() -> None:
-    def one(box: list, label: int, degrees: float, *crop: int) -> tuple:
-        snaps = Snaps(np.array([box], np.float32), np.array([label]), np.radians(np.array([degrees], np.float32)), np.array([True]))
-        kept, ignored = cut(snaps, *crop)
-        return kept.boxes.tolist(), kept.whole.tolist(), ignored.tolist()
-
-    inside, window = [30, 40, 50, 60], (10, 10, 100, 100)
-    assert one(inside, 1, 0, *window) == ([[20, 30, 40, 50]], [True], [])
-    # A fifth is lost at the left: a hook that stands upright and a ring are cut, a slanted hook's box is not known.
-    left = [6, 40, 26, 60]
-    assert one(left, 1, 90, *window) == ([[0, 30, 16, 50]], [False], [])
-    assert one(left, 2, math.nan, *window) == ([[0, 30, 16, 50]], [False], [])
-    assert one(left, 1, 45, *window) == ([], [], [[0, 30, 16, 50]])
-    assert one(left, 1, math.nan, *window) == ([], [], [[0, 30, 16, 50]])
-    # Half is lost; all is lost.
-    assert one([0, 40, 20, 60], 2, math.nan, *window) == ([], [], [[0, 30, 10, 50]])
-    assert one([0, 40, 9, 60], 2, math.nan, *window) == ([], [], [])
-    print("ok cuts: 7")
 
 
 def frames() -> None:
@@ -413,6 +368,26 @@ def without_the_deepest_scale() -> None:
     assert whole.keys() - less.keys() == missing, whole.keys() - less.keys()
 
 
+@torch.no_grad()
+def peers() -> None:
+    """What other programs get of the network is the network: benches/peers takes it apart."""
+    sys.path.insert(0, str(ROOT / "benches/peers"))
+    import networks
+
+    model = random_model(Config(**NETWORKS["small"]), 6).double().eval()
+    picture = torch.randn(1, 3, 96, 64, dtype=torch.float64).contiguous(memory_format=torch.channels_last)
+    stages: dict[str, torch.Tensor] = {}
+    fused = model.features(picture, stages)
+    for name, got in zip(networks.BACKBONE, networks.Backbone(model)(picture), strict=True):
+        same(f"peers, {name}", got, stages[name])
+    for name, got in zip(networks.FEATURES, networks.Features(model)(picture), strict=True):
+        same(f"peers, {name}", got, fused if name == "fusion.fused" else getattr(model.rpn, name.removeprefix("rpn."))(fused))
+    pooled = torch.randn(5, model.config.width, 7, 7, dtype=torch.float64)
+    heads = model.roi_head(pooled, {})
+    for name, got, wanted in zip(("scores", "regression"), networks.RoiHead(model)(pooled), (heads.scores, heads.regression)):
+        same(f"peers, {name}", got, wanted)
+
+
 if __name__ == "__main__":
     torch.manual_seed(0)
     gates()
@@ -422,8 +397,6 @@ if __name__ == "__main__":
     losses_by_hand()
     steps()
     more_anchors()
-    turns()
-    cuts()
     frames()
     labels()
     pose_decoding()
@@ -434,4 +407,5 @@ if __name__ == "__main__":
     deviations()
     networks()
     without_the_deepest_scale()
+    peers()
     weight_files()

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from PIL import Image
 
+import parts
 import pool
 
 PIXELS_PER_MM = 8.0
@@ -38,9 +39,9 @@ def write(folder: Path, sizes: list[tuple[int, int]], mm_per_pixel: float) -> No
 def views_show_their_labels(root: Path) -> None:
     write(root / "set", [(300, 260), (420, 300), (300, 300), (340, 500), (640, 480), (280, 320)] * 4, 0.1)
     pictures = pool.Pool(PIXELS_PER_MM, 10**7, "cpu")
-    part = pool.pack(root / "set", PIXELS_PER_MM, 1)
+    part = parts.pack(root / "set", PIXELS_PER_MM, 1)
     part.save(root / "part.npz")
-    assert pictures.add(pool.Part.load(root / "part.npz")) and len(pictures) == 24
+    assert pictures.add(parts.Part.load(root / "part.npz")) and len(pictures) == 24
     assert not pool.Pool(PIXELS_PER_MM, 1000, "cpu").add(part), "no room"
     snaps = cut = ignored = 0
     directions = set()
@@ -52,7 +53,7 @@ def views_show_their_labels(root: Path) -> None:
         for i, picture in enumerate(pixels[:, 0]):
             shown = picture > (BACK + SNAP) / 2
             found = torch.zeros_like(shown)
-            for k in range(pool.SNAPS):
+            for k in range(parts.SNAPS):
                 for box, label in ((truth.boxes[i, k], truth.labels[i, k]), (truth.ignored[i, k], 0)):
                     x1, y1, x2, y2 = (round(v) for v in box.tolist())
                     if x2 <= x1:
@@ -83,7 +84,7 @@ def scales_are_the_networks(root: Path) -> None:
     write(root / "coarse", [(320, 300)] * 4, 0.11)
     pictures = pool.Pool(PIXELS_PER_MM, 10**7, "cpu")
     for name in ("fine", "coarse"):
-        pictures.add(pool.pack(root / name, PIXELS_PER_MM, 1))
+        pictures.add(parts.pack(root / name, PIXELS_PER_MM, 1))
     generator = torch.Generator().manual_seed(1)
     index, sizes, _ = pictures._choose(200, (128, 128), False, generator)
     millimetres = torch.tensor([25.0] * 4 + [320 * 0.11] * 4)[index]
@@ -92,7 +93,57 @@ def scales_are_the_networks(root: Path) -> None:
     print("ok scales vary by a quarter about the network's")
 
 
+def snap(box: list, label: int, degrees: float) -> tuple[torch.Tensor, ...]:
+    """One snap of one picture: its box, label and yaw."""
+    return torch.tensor([[box]], dtype=torch.float32), torch.tensor([[label]]), torch.tensor([[degrees]]).deg2rad()
+
+
+def turns(_: Path) -> None:
+    # A 4 x 2 snap with its box at (10, 20) in a crop of 100 x 60, its barb 30 degrees below +x: right and down.
+    cases = {
+        (False, False, False): ([10, 20, 14, 22], 30),
+        (True, False, False): ([86, 20, 90, 22], 150),  # left and down
+        (False, True, False): ([10, 38, 14, 40], -30),  # right and up
+        (True, True, False): ([86, 38, 90, 40], -150),  # half a turn
+        (False, False, True): ([20, 10, 22, 14], 60),  # x for y
+        (True, False, True): ([20, 86, 22, 90], -60),  # a quarter turn: right becomes up
+        (False, True, True): ([38, 10, 40, 14], 120),  # the other: right becomes down
+        (True, True, True): ([38, 86, 40, 90], -120),
+    }
+    yes, crop = torch.tensor([[True]]), torch.tensor([[100.0, 60.0]])
+    for (across, down, side), (box, degrees) in cases.items():
+        for label, yaw in ((1, 30.0), (2, math.nan)):
+            flips = torch.tensor([[across, down]]), torch.tensor([side])
+            truth = pool.orient(*snap([10, 20, 14, 22], label, yaw), yes, yes, ~yes, crop, *flips)
+            assert truth.boxes.tolist() == [[box]] and truth.labels.item() == label, (across, down, side)
+            assert not truth.ignored.any()
+            off = (math.degrees(truth.yaw.item()) - degrees + 180) % 360 - 180
+            # A part without a direction stays without.
+            assert math.isnan(off) if label == 2 else abs(off) < 1e-4, f"{across}, {down}, {side}: {off}"
+    print("ok turns: 8")
+
+
+def cuts(_: Path) -> None:
+    def one(box: list, label: int, degrees: float) -> tuple:
+        corner, crop = torch.tensor([[[10.0, 10.0]]]), torch.tensor([[[100.0, 100.0]]])
+        moved, keep, ignored, uncut = pool.cut(*snap(box, label, degrees), corner, crop)
+        return moved[0, 0].tolist(), keep.item(), ignored.item(), uncut.item()
+
+    assert one([30, 40, 50, 60], 1, 0.0) == ([20, 30, 40, 50], True, False, True)
+    # A fifth is lost at the left: a hook that stands upright and a ring are cut, a slanted hook's box is not known.
+    left = [6, 40, 26, 60]
+    assert one(left, 1, 90.0) == ([0, 30, 16, 50], True, False, False)
+    assert one(left, 2, math.nan) == ([0, 30, 16, 50], True, False, False)
+    assert one(left, 1, 45.0) == ([0, 30, 16, 50], False, True, False)
+    assert one(left, 1, math.nan) == ([0, 30, 16, 50], False, True, False)
+    # Half is lost; all is lost; a row that is no snap.
+    assert one([0, 40, 20, 60], 2, math.nan) == ([0, 30, 10, 50], False, True, False)
+    assert one([0, 40, 9, 60], 2, math.nan)[1:3] == (False, False)
+    assert one([0, 0, 0, 0], 0, 0.0)[1:3] == (False, False)
+    print("ok cuts: 8")
+
+
 if __name__ == "__main__":
-    for test in (views_show_their_labels, scales_are_the_networks):
+    for test in (turns, cuts, views_show_their_labels, scales_are_the_networks):
         with tempfile.TemporaryDirectory() as root:
             test(Path(root))

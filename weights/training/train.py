@@ -26,17 +26,16 @@ import torch
 from torch import Tensor
 
 import weightfile
-from data import JITTER, Chunk, Sampler, normalise
 from distill import Distiller
-from learner import Learner, measure_statistics, rate, to_learn
+from learner import Learner, measure_statistics, network_views, rate, to_learn
 from losses import detection_losses
 from metrics import detect_folder, figures, line
 from model import NETWORKS, Config, SmrNet, Variant
+from parts import cached
+from pool import AREA, Pool
 from truth import Truth
 
 LOOK_EVERY = 100  # steps between looks for new folders
-AREA = 12 * 192 * 192  # pixels of a batch
-STATISTICS_BATCHES = 60
 # What a network takes over from another beside which it learns.
 SHARED = ("pixels_per_mm", "mean", "std", "anchor_sizes", "anchor_ratios")
 
@@ -51,15 +50,6 @@ def keep_memory() -> None:
         pass
 
 
-def recompute_statistics(model: SmrNet, chunks: list[Chunk], seed: int) -> None:
-    """Batch norm statistics from STATISTICS_BATCHES views of the folders, for inference."""
-    device = next(model.parameters()).device
-    sampler = Sampler(chunks, model.config.pixels_per_mm, AREA, seed)
-    batches = (normalise(sampler.batch(step)[0], model.config.mean, model.config.std) for step in range(STATISTICS_BATCHES))
-    measure_statistics(model, (images.to(device, memory_format=torch.channels_last) for images in batches))
-    model.eval()
-
-
 class Run:
     """All that a checkpoint holds."""
 
@@ -67,7 +57,6 @@ class Run:
         self.args = args
         self.device = "cuda" if torch.cuda.is_available() else "cpu"
         self.file = args.out / "checkpoint.pt"
-        self.chunks: list[Chunk] = []
         # Beside a step, the next one's views.
         self.loader, self.ahead = ThreadPoolExecutor(1, "loader"), None
         state = torch.load(self.file, map_location=self.device, weights_only=True) if self.file.exists() else None
@@ -82,12 +71,14 @@ class Run:
             self.config = Config.from_dict(json.loads(state["config"]))
             if args.steps and args.steps != self.steps():
                 self.plan["steps"].append([self.step, args.steps])
-        self.chunks = [self.chunk(folder) for _, folder in self.timeline]
-        self.find_chunks()
-        while not self.chunks:
+        self.pool = Pool(self.config.pixels_per_mm, args.room, self.device)
+        for _, folder in self.timeline:
+            self.take_up(folder)
+        self.find_folders()
+        while not len(self.pool):
             self.log("waiting for a complete training folder")
             time.sleep(10)
-            self.find_chunks()
+            self.find_folders()
         torch.manual_seed(args.seed)
         distiller = None
         if args.teacher:
@@ -123,10 +114,14 @@ class Run:
             config = Config(**kept, **NETWORKS[args.network], variant=variant)
         return to_learn(config)
 
-    def chunk(self, folder: str) -> Chunk:
-        return Chunk(Path(folder), self.config.pixels_per_mm * JITTER, self.args.cache or self.args.out / "cache")
+    def take_up(self, folder: str) -> int:
+        """How many pictures it brings."""
+        part = cached(Path(folder), self.config.pixels_per_mm, self.args.cache or self.args.out / "cache")
+        if not self.pool.add(part):
+            raise SystemExit(f"{folder}: expected room for {self.pool.used + len(part.pixels)} pixels, got --room {self.args.room}")
+        return len(part.sizes)
 
-    def find_chunks(self) -> None:
+    def find_folders(self) -> None:
         """Takes up folders that were finished since the last look."""
         have = {folder for _, folder in self.timeline}
         planned = {name: step for step, name in self.plan["data"]}
@@ -134,9 +129,9 @@ class Run:
             for folder in sorted(glob.glob(str(pattern))):
                 due = planned.get(Path(folder).name, self.step + bool(planned)) <= self.step
                 if due and folder not in have and (Path(folder) / "annotations.json").exists():
-                    self.chunks.append(self.chunk(folder))
+                    count = self.take_up(folder)
                     self.timeline.append([self.step, folder])
-                    self.log(f"data: {folder}, {len(self.chunks[-1])} pictures, from step {self.step}")
+                    self.log(f"data: {folder}, {count} pictures, from step {self.step}")
 
     def log(self, text: str) -> None:
         print(f"{time.strftime('%H:%M:%S')} {text}", flush=True)
@@ -167,8 +162,7 @@ class Run:
 
     def load(self, step: int) -> Future[tuple[Tensor, Truth]]:
         """A step's views, made from the folders at hand now."""
-        sampler = Sampler([*self.chunks], self.config.pixels_per_mm, self.args.area, self.args.seed)
-        return self.loader.submit(sampler.batch, step)
+        return self.loader.submit(self.pool.batch, step, self.args.area, self.args.seed)
 
     def train_step(self) -> dict[str, float]:
         began = time.monotonic()
@@ -176,8 +170,7 @@ class Run:
         # New folders may come before such a step.
         self.ahead = self.load(self.step + 1) if (self.step + 1) % LOOK_EVERY else None
         loaded = time.monotonic()
-        images = normalise(pixels, self.config.mean, self.config.std).to(self.device, memory_format=torch.channels_last)
-        truth = truth.to(self.device)
+        images = network_views(pixels, self.config, self.device)
         # The choice of anchors and proposals draws from torch's generator.
         torch.manual_seed(self.args.seed * 1_000_003 + self.step)
         # Both ways of running must come out right: with conv5_x, and without it where it is left out.
@@ -225,6 +218,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--student-init", type=Path, help="weight file from which that network starts; by default from scratch")
     parser.add_argument("--student-lr", type=float, default=1e-3)
     parser.add_argument("--cache", type=Path)
+    parser.add_argument("--room", type=int, default=10**9, help="for so many pixels of small pictures, of three bytes each")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--area", type=int, default=AREA, help="pixels of a batch")
     parser.add_argument("--lr", type=float, default=4e-4)
@@ -278,7 +272,7 @@ def main() -> None:
     while run.step < run.steps():
         recent.append(run.train_step())
         if run.step % LOOK_EVERY == 0:
-            run.find_chunks()
+            run.find_folders()
         if run.step % 20 == 0:
             mean = {k: float(np.mean([r[k] for r in recent])) for k in recent[0]}
             text = " ".join(f"{k} {v:.4f}" for k, v in mean.items())
@@ -296,7 +290,8 @@ def main() -> None:
     run.log(f"done: step {run.step}, {run.seconds / 60:.1f} min, {run.seen} views")
     if not args.keep_statistics:
         for learner in run.learners():
-            recompute_statistics(learner.ema, run.chunks, args.seed)
+            measure_statistics(learner.ema, run.pool, args.area, args.seed)
+            learner.ema.eval()
     run.save()
     run.validate(None)
 

@@ -14,12 +14,11 @@ from queue import Queue
 import torch
 
 import weightfile
-from data import normalise
-from learner import Learner, measure_statistics, rate, to_learn
+from learner import Learner, measure_statistics, network_views, rate, to_learn
 from losses import detection_losses
-from pool import Part, Pool
+from parts import Part
+from pool import Pool
 
-STATISTICS_BATCHES = 100
 LOG_EVERY = 50
 
 
@@ -73,8 +72,7 @@ class Training:
     def measure_statistics(self) -> None:
         """Batch norm from now on uses what it is on average over such batches."""
         model, ema = self.learner.model, self.learner.ema
-        views = (self.pool.batch(10**6 + i, self.args.area, self.args.seed)[0] for i in range(STATISTICS_BATCHES))
-        measure_statistics(model, map(self.normalised, views))
+        measure_statistics(model, self.pool, self.args.area, self.args.seed)
         self.stand()
         ema.load_state_dict({k: v for k, v in model.state_dict().items() if "running" in k}, strict=False)
 
@@ -82,12 +80,9 @@ class Training:
         self.learner.stand()
         self.standing = True
 
-    def normalised(self, pixels: torch.Tensor) -> torch.Tensor:
-        return normalise(pixels, self.config.mean, self.config.std).contiguous(memory_format=torch.channels_last)
-
     def train_step(self) -> dict[str, torch.Tensor]:
         pixels, truth = self.pool.batch(self.step, self.args.area, self.args.seed)
-        losses, _ = detection_losses(self.learner.model, self.normalised(pixels), truth)
+        losses, _ = detection_losses(self.learner.model, network_views(pixels, self.config, self.device), truth)
         norm = self.learner.learn(sum(losses.values()), rate(self.args.lr, self.step, self.done()))
         self.step += 1
         self.seen += len(pixels)

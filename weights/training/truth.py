@@ -14,6 +14,3 @@ class Truth:
     yaw: Tensor  # [B, N], radians, NaN where there is no direction
     whole: Tensor  # [B, N], 0 or 1
     ignored: Tensor  # [B, M, 4]
-
-    def to(self, device: str) -> "Truth":
-        return Truth(*(getattr(self, name).to(device) for name in Truth.__dataclass_fields__))

@@ -11,7 +11,7 @@ from torch import Tensor
 from model import Config, SmrNet
 
 
-def _stored(name: str, tensor: Tensor) -> Tensor:
+def _stored(tensor: Tensor) -> Tensor:
     """Weights of convolutions and linear layers in f16; vectors (biases, batch norm) in f32.
 
     A running variance can lie below the f16 range and is divided by; the vectors
@@ -23,7 +23,7 @@ def _stored(name: str, tensor: Tensor) -> Tensor:
 
 def stored(model: SmrNet) -> dict[str, Tensor]:
     """The file's tensors by name."""
-    return {k: _stored(k, v) for k, v in model.state_dict().items() if not k.endswith("num_batches_tracked")}
+    return {k: _stored(v) for k, v in model.state_dict().items() if not k.endswith("num_batches_tracked")}
 
 
 def save(model: SmrNet, file: Path) -> None:

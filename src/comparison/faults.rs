@@ -168,23 +168,26 @@ fn one_wrong_element_is_found() {
     Run::new().finds("one element off", &tensors, |value| floats(value)[5] += 0.001);
 }
 
-/// Of one detection the yaw is a degree off. Its operation fails, whatever it shows; the drift tells only of
-/// a class that has a direction.
+/// Of one detection the yaw is off. Its operation fails, whatever it shows; the drift tells only of a class
+/// that has a direction, and of the shorter way round.
 #[test]
-fn a_yaw_that_nobody_is_told_is_no_drift() {
+fn the_drift_of_yaws_is_of_those_told_and_the_shorter_way_round() {
     let run = Run::new();
     let chosen =
         Choices::read(&run.network, &run.healthy).expect("what it chose").detections.chosen;
-    let drift_of = |class: u32| {
+    let drift_of = |class: u32, off: f32| {
         let row = chosen.iter().position(|(_, c)| *c == class).expect("a detection of the class");
         let outcome =
-            run.finds("a yaw off", &["detections.pose"], |pose| floats(pose)[5 * row] += 1.0);
+            run.finds("a yaw off", &["detections.pose"], |pose| floats(pose)[5 * row] += off);
         let mut tensors = outcome.stages.iter().flatten();
         tensors.find(|t| t.name == "detections.pose").and_then(|t| t.drift).expect("a drift")
     };
     assert_eq!(run.network.config.directed, ["A"]);
-    assert!(drift_of(1) > 0.0);
-    assert_eq!(drift_of(2), 0.0);
+    let degree = drift_of(1, 1.0);
+    assert!(degree > 0.0);
+    // Of an f32 near 360 the last digit is 3e-5.
+    assert!((drift_of(1, 359.0) / degree - 1.0).abs() < 1e-4);
+    assert_eq!(drift_of(2, 1.0), 0.0);
 }
 
 /// The largest weight of each layer is 1 % larger on the device. One that only meets units which are zero in

@@ -176,10 +176,8 @@ pub(crate) fn compare(
                         let (ours, theirs) = shared(ids, &reference.ids[count]);
                         let (mut got, mut want) = (pick(got, &ours), pick(want, &theirs));
                         if network.pose == Some(*id) {
-                            for rows in [&mut got, &mut want] {
-                                let classes = ours.iter().map(|row| ids[*row].1);
-                                drop_untold_yaws(&network.config, classes, rows);
-                            }
+                            let classes = ours.iter().map(|row| ids[*row].1);
+                            align_yaws(&network.config, classes, &mut got, &mut want);
                         }
                         tensor::drift(&got, &want)
                     }
@@ -275,12 +273,21 @@ fn pick(tensor: &Tensor, rows: &[usize]) -> Vec<f32> {
     rows.iter().flat_map(|r| &tensor.data()[r * width..(r + 1) * width]).copied().collect()
 }
 
-/// Zero in place of the yaws of classes that have no direction. Nobody is told them, and nothing taught
-/// the network their vectors: rounding turns a short one by any angle.
-fn drop_untold_yaws(config: &ModelConfig, classes: impl Iterator<Item = u32>, poses: &mut [f32]) {
-    for ([yaw, ..], class) in poses.as_chunks_mut::<5>().0.iter_mut().zip(classes) {
-        if !config.directed.contains(&config.classes[class as usize - 1]) {
-            *yaw = 0.0;
+/// Makes the yaws of poses comparable as numbers: of two the first by whole turns next to the second, so
+/// that -179.9° and 179.9° are close. Those of classes without a direction are zero: nobody is told them,
+/// and nothing taught the network their vectors, so rounding turns a short one by any angle.
+fn align_yaws(
+    config: &ModelConfig,
+    classes: impl Iterator<Item = u32>,
+    got: &mut [f32],
+    want: &mut [f32],
+) {
+    let [got, want] = [got, want].map(|poses| poses.as_chunks_mut::<5>().0);
+    for (([got, ..], [want, ..]), class) in got.iter_mut().zip(want).zip(classes) {
+        if config.directed.contains(&config.classes[class as usize - 1]) {
+            *got += 360.0 * ((*want - *got) / 360.0).round();
+        } else {
+            (*got, *want) = (0.0, 0.0);
         }
     }
 }

@@ -32,6 +32,18 @@ fn ops() {
     over("ops", targets::ops::run);
 }
 
+/// A seed's first byte is its operation's place in `OPS`.
+#[test]
+fn every_operation_has_a_seed() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/ops");
+    let seeds: Vec<u8> = std::fs::read_dir(folder)
+        .expect("a corpus")
+        .map(|entry| std::fs::read(entry.expect("an entry").path()).expect("a file")[0])
+        .collect();
+    let without = smr_gpu::ops::OPS.iter().zip(0..).filter(|(_, place)| !seeds.contains(place));
+    assert_eq!(without.map(|(entry, _)| entry.name).collect::<Vec<_>>(), [""; 0]);
+}
+
 /// Runs a target on each file of its corpus and on changed copies of them.
 fn over(target: &str, run: fn(&[u8])) {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(target);

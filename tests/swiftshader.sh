@@ -33,4 +33,4 @@ if ! grep -q SwiftShader <<<"$devices"; then
     exit 1
 fi
 cargo test --locked --release
-target/release/smr-gpu check
+target/release/smr-gpu check --device gpu

@@ -41,7 +41,7 @@ class Backbone(nn.Module):
 
     def forward(self, x: Tensor) -> tuple[Tensor, ...]:
         stages = {}
-        self.net.backbone(x, stages)
+        self.net.backbone(x, stages, scales=3)
         return tuple(stages[name] for name in BACKBONE)
 
 

@@ -15,8 +15,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::Parser;
-use extremes::{Outcome, changed, extremes, outcome, pixels};
-use smr_gpu::{Config, Detections, Device, GpuDetector, Scene};
+use extremes::{Outcome, apart, changed, extremes, outcome, pixels};
+use smr_gpu::{Config, Device, GpuDetector, Scene};
 
 #[derive(Parser)]
 struct Args {
@@ -72,29 +72,15 @@ fn cell(outcome: &Outcome, beside: Option<&Outcome>) -> String {
                 n => format!("finite, {n} found"),
             };
             match beside {
-                Some(Outcome::Finite(other)) => format!("{number}{}", difference(found, other)),
+                Some(Outcome::Finite(other)) => match apart(found, other) {
+                    None => format!("{number}, not the {} of the last", other.detections.len()),
+                    Some(_) if found.detections.is_empty() => number,
+                    Some([corner, score]) => {
+                        format!("{number}, {corner:.0e} px, {score:.0e} in score")
+                    }
+                },
                 _ => number,
             }
         }
-    }
-}
-
-/// How far corners and scores are apart, where the same were found in the same order.
-fn difference(a: &Detections, b: &Detections) -> String {
-    let same = a.detections.len() == b.detections.len()
-        && a.detections.iter().zip(&b.detections).all(|(a, b)| a.class == b.class);
-    if !same {
-        return format!(", not the {} of the last", b.detections.len());
-    }
-    let pairs = || a.detections.iter().zip(&b.detections);
-    let corner = pairs().flat_map(|(a, b)| a.bbox.iter().zip(b.bbox).map(|(a, b)| (a - b).abs()));
-    let score = pairs().map(|(a, b)| (a.score - b.score).abs());
-    match a.detections.is_empty() {
-        true => String::new(),
-        false => format!(
-            ", {:.0e} px, {:.0e} in score",
-            corner.fold(0.0, f32::max),
-            score.fold(0.0, f32::max)
-        ),
     }
 }

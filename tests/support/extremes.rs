@@ -18,10 +18,14 @@ pub struct Extreme {
 }
 
 /// What a picture shows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Picture {
     /// Snaps: what the weights know.
     Usual,
+    /// The same at this share of their contrast about a middle grey.
+    Faint(f32),
+    /// The same with each pixel so many times over, along x and y.
+    Enlarged(u32),
     Even([u8; 3]),
     Spot,
     Checkerboard,
@@ -62,6 +66,12 @@ pub fn extremes() -> Vec<Extreme> {
         picture("noise, each value 0 or 255", noise),
         sized("1 × 1 pixel", 1, 1),
         Extreme { slow: true, ..sized("8192 × 4096 pixels", 8192, 4096) },
+        Extreme { size: Some(320), ..picture("an eighth of the contrast", Picture::Faint(0.125)) },
+        Extreme {
+            size: Some(320),
+            slow: true,
+            ..picture("each pixel 5 × 5 times", Picture::Enlarged(5))
+        },
         Extreme { size: Some(32), ..picture("input of 32 × 32", Picture::Usual) },
         Extreme {
             size: Some(1024), slow: true, ..picture("input of 1024 × 1024", Picture::Usual)
@@ -93,6 +103,15 @@ pub fn pixels(picture: Picture, usual: &image::RgbImage) -> (Vec<u8>, [u32; 2]) 
     let square = [SIDE; 2];
     match picture {
         Picture::Usual => (usual.as_raw().clone(), [usual.width(), usual.height()]),
+        Picture::Faint(share) => {
+            let fainter = |v: &u8| (128.0 + share * (f32::from(*v) - 128.0)).round() as u8;
+            (usual.iter().map(fainter).collect(), [usual.width(), usual.height()])
+        }
+        Picture::Enlarged(times) => {
+            each([times * usual.width(), times * usual.height()], &|x, y| {
+                usual.get_pixel(x / times, y / times).0
+            })
+        }
         Picture::Even(colour) => each(square, &|_, _| colour),
         Picture::Spot => each(square, &|x, y| [if [x, y] == [90, 140] { 255 } else { 0 }; 3]),
         Picture::Checkerboard => each(square, &|x, y| [((x + y) % 2 * 255) as u8; 3]),
@@ -161,4 +180,17 @@ fn is_finite(found: &Detections) -> bool {
             d.bbox.into_iter().chain(d.center_mm).chain(d.center_std_mm.into_iter().flatten());
         d.score.is_finite() && told.chain(placed).all(f32::is_finite)
     })
+}
+
+/// How far corners and scores are apart, in pixels and as such; nothing unless the same classes were found in the
+/// same order.
+pub fn apart(a: &Detections, b: &Detections) -> Option<[f32; 2]> {
+    let (a, b) = (&a.detections, &b.detections);
+    if a.len() != b.len() || a.iter().zip(b).any(|(a, b)| a.class != b.class) {
+        return None;
+    }
+    let pairs = || a.iter().zip(b);
+    let corners = pairs().flat_map(|(a, b)| a.bbox.iter().zip(b.bbox).map(|(a, b)| (a - b).abs()));
+    let scores = pairs().map(|(a, b)| (a.score - b.score).abs());
+    Some([corners.fold(0.0, f32::max), scores.fold(0.0, f32::max)])
 }

@@ -320,6 +320,19 @@ impl Sensor {
     /// # Errors
     /// [`Error::Sensor`] for a frame of another shape, and for a field outside [`FIELD_MM`].
     pub(crate) fn view(&self, frame: [u32; 2], crop: Option<Rect>) -> Result<View> {
+        self.view_at(frame, crop, None)
+    }
+
+    /// [`Sensor::view`] of a frame of which a pixel has `stated` millimetres, if that is known.
+    ///
+    /// # Errors
+    /// As [`Sensor::view`].
+    pub(crate) fn view_at(
+        &self,
+        frame: [u32; 2],
+        crop: Option<Rect>,
+        stated: Option<f32>,
+    ) -> Result<View> {
         let [width, height] = frame;
         let all = Rect { x: 0, y: 0, width, height };
         let mut gel = all;
@@ -347,7 +360,7 @@ impl Sensor {
             mm_per_pixel = mm_per_pixel.map(|mm| (f64::from(mm) / scale) as f32);
         }
         let shorter = gel.width.min(gel.height) as f32;
-        let mm_per_pixel = mm_per_pixel.unwrap_or(PAPER_MM / shorter);
+        let mm_per_pixel = stated.or(mm_per_pixel).unwrap_or(PAPER_MM / shorter);
         let part = crop.unwrap_or(gel);
         let field = part.width.max(part.height) as f32 * mm_per_pixel;
         let [least, most] = FIELD_MM;
@@ -427,6 +440,9 @@ mod tests {
         assert_eq!((half.part, half.mm_per_pixel), (rect(230, 50, 500, 500), 0.08));
         let gel = paper.view([250, 250], None).expect("a view");
         assert_eq!((gel.part, gel.mm_per_pixel), (rect(0, 0, 250, 250), 0.16));
+        // A stated scale is that of the frame that came, not of the sensor's.
+        let stated = paper.view_at([250, 250], None, Some(0.1)).expect("a view");
+        assert_eq!((stated.part, stated.mm_per_pixel), (rect(0, 0, 250, 250), 0.1));
         let message = paper.view([640, 480], None).expect_err("an error").to_string();
         let want = "sensor `paper`: expected frames of the shape of 1920 × 1200 pixels, or of its gel's \
                     1000 × 1000; got 640 × 480";

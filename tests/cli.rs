@@ -690,6 +690,13 @@ fn the_sensor_sets_scale_and_input() {
     // Frames of the shape of GelSight Mini's, with 5/4 of its pixels.
     let mini = detect(&["--sensor", "gelsight-mini"]).expect(0);
     assert_eq!(scale(&mini), 0.0634 / 1.25);
+    // A pixel of the pictures that come has what is stated, as these of the paper's gel alone.
+    ramp(500, 500).save(folder.path().join("gel.png")).expect("saved");
+    let mini = detect(&["--sensor", "gelsight-mini", "--mm-per-pixel", "0.05"]).expect(0);
+    assert_eq!(scale(&mini), 0.05);
+    let gel = ["detect", "gel.png", "--json", "--device", "cpu", "--sensor", "paper"];
+    let gel = run(folder.path(), &[&gel[..], &["--mm-per-pixel", "0.08"]].concat()).expect(0);
+    assert_eq!(scale(&gel), 0.08);
     let text = r#"{ "name": "mine", "frame": [800, 600], "mm_per_pixel": 0.025 }"#;
     fs::write(folder.path().join("mine.json"), text).expect("written");
     assert_eq!(scale(&detect(&["--sensor", "mine.json"]).expect(0)), 0.05);

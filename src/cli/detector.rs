@@ -60,7 +60,8 @@ pub(super) struct NetworkArgs {
     #[arg(long, value_name = "NAME|FILE", value_parser = sensor)]
     sensor: Option<Sensor>,
 
-    /// Millimetres of gel that a pixel shows; without --sensor, in pictures that are gel all over.
+    /// Millimetres of gel that a pixel of the pictures shows, whatever --sensor says of its own frames;
+    /// without --sensor the pictures are gel all over.
     #[arg(long, value_name = "MM", allow_negative_numbers = true)]
     mm_per_pixel: Option<f32>,
 
@@ -182,30 +183,21 @@ impl NetworkArgs {
         self.sensor.is_some() || self.mm_per_pixel.is_some()
     }
 
-    /// The sensor that the options name.
-    ///
-    /// # Errors
-    /// [`Exit::Usage`] for one that cannot be.
-    fn sensor(&self) -> Result<Option<Sensor>, Failure> {
-        let Some(scale) = self.mm_per_pixel else { return Ok(self.sensor.clone()) };
-        let mut sensor = self.sensor.clone().unwrap_or_else(Sensor::plain);
-        sensor.mm_per_pixel = Some(scale);
-        match sensor.check() {
-            Ok(()) => Ok(Some(sensor)),
-            Err(e) => Err(Failure::usage(format!("--mm-per-pixel: {e}"))),
-        }
-    }
-
     /// The library's configuration for these options, on whatever device.
     ///
     /// # Errors
-    /// [`Exit::Weights`] if there is no weight file, [`Exit::Inputs`] if the sensor's reference frame cannot
-    /// be read.
+    /// [`Exit::Usage`] for a scale out of its range, [`Exit::Weights`] if there is no weight file,
+    /// [`Exit::Inputs`] if the sensor's reference frame cannot be read.
     pub fn config(&self, scene: Scene) -> Result<Config, Failure> {
         let mut config = Config::new(weight_file(self.weights.as_deref())?);
         config.iou = self.iou;
         config.input_size = self.size;
-        config.sensor = self.sensor()?;
+        config.sensor = self.sensor.clone();
+        if let Some(scale) = self.mm_per_pixel {
+            let checked = Sensor::of_scale(scale).check();
+            checked.map_err(|e| Failure::usage(format!("--mm-per-pixel: {e}")))?;
+            config.mm_per_pixel = Some(scale);
+        }
         config.scene = scene;
         let reference = config.sensor.as_ref().and_then(|sensor| sensor.reference.clone());
         if let Some(file) = reference.filter(|_| config.scene.looks()) {

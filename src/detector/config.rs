@@ -111,6 +111,9 @@ pub struct Config {
     /// What the pictures show; `None` for the paper's sensor, or what looks like it: see
     /// [`GpuDetector::assumption`].
     pub sensor: Option<Sensor>,
+    /// Millimetres of gel for a pixel of the frames that come, whatever their size; `None` for what the
+    /// sensor says. Without a sensor frames are then gel all over.
+    pub mm_per_pixel: Option<f32>,
     /// Longer side of the gel in the network's input, in pixels; `None` for the scale that the weights
     /// know. The input has as many as the next multiple of 32.
     pub input_size: Option<usize>,
@@ -175,6 +178,7 @@ impl Config {
             weights,
             device: Device::default(),
             sensor: None,
+            mm_per_pixel: None,
             input_size: None,
             scene: Scene::default(),
             reference: None,
@@ -204,6 +208,12 @@ impl Config {
     /// Sets [`Config::sensor`].
     pub fn sensor(mut self, sensor: Sensor) -> Self {
         self.sensor = Some(sensor);
+        self
+    }
+
+    /// Sets [`Config::mm_per_pixel`].
+    pub fn mm_per_pixel(mut self, millimetres: f32) -> Self {
+        self.mm_per_pixel = Some(millimetres);
         self
     }
 

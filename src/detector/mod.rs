@@ -126,6 +126,9 @@ impl GpuDetector {
         if let Some(sensor) = &config.sensor {
             sensor.check()?;
         }
+        if let Some(scale) = config.mm_per_pixel {
+            Sensor::of_scale(scale).check()?;
+        }
         let engines = Engines::open(&config, gpu).await?;
         let model = engines.model().clone();
         let (engines, rebuilding) = (RwLock::new(Arc::new(engines)), Mutex::new(()));
@@ -140,9 +143,11 @@ impl GpuDetector {
 
     /// Width and height of frames, if they are known before any comes.
     fn usual_frame(&self) -> Option<[u32; 2]> {
-        match &self.config.sensor {
-            Some(sensor) => sensor.frame,
-            None => Some([1000, 1000]),
+        match (&self.config.sensor, self.config.mm_per_pixel) {
+            (Some(sensor), None) => sensor.frame,
+            (None, None) => Some([1000, 1000]),
+            // How much gel they show depends on their size.
+            (_, Some(_)) => None,
         }
     }
 
@@ -167,9 +172,10 @@ impl GpuDetector {
 
     /// What a frame of this width and height shows, or its part `crop`.
     fn view(&self, frame: [u32; 2], crop: Option<Rect>) -> Result<View> {
-        match &self.config.sensor {
-            Some(sensor) => sensor.view(frame, crop),
-            None => Ok(sensor::assumed(frame, crop)),
+        match (&self.config.sensor, self.config.mm_per_pixel) {
+            (Some(sensor), stated) => sensor.view_at(frame, crop, stated),
+            (None, Some(scale)) => Sensor::of_scale(scale).view(frame, crop),
+            (None, None) => Ok(sensor::assumed(frame, crop)),
         }
     }
 
@@ -191,12 +197,12 @@ impl GpuDetector {
     }
 
     /// What is assumed of frames of this width and height that cannot be the paper's sensor's, in a line:
-    /// if [`Config::sensor`] names none, their millimetres may be wrong, and snaps may be missed because
-    /// of it.
+    /// if neither [`Config::sensor`] nor [`Config::mm_per_pixel`] says more, their millimetres may be wrong,
+    /// and snaps may be missed because of it.
     pub fn assumption(&self, width: u32, height: u32) -> Option<String> {
-        match self.config.sensor {
-            Some(_) => None,
-            None => sensor::assumption([width, height]),
+        match (&self.config.sensor, self.config.mm_per_pixel) {
+            (None, None) => sensor::assumption([width, height]),
+            _ => None,
         }
     }
 
@@ -266,7 +272,8 @@ impl GpuDetector {
 
     /// A picture of the sensor's size in which there is something everywhere.
     fn noise(&self) -> Frame<'static> {
-        let [width, height] = self.usual_frame().unwrap_or([1000, 1000]);
+        let frame = self.config.sensor.as_ref().and_then(|sensor| sensor.frame);
+        let [width, height] = frame.unwrap_or([1000, 1000]);
         let pixel = |i: usize| ((i as u32).wrapping_mul(2_654_435_761) >> 24) as u8;
         let pixels: Vec<u8> = (0..width as usize * height as usize).map(pixel).collect();
         Frame::new(pixels, width, height, PixelFormat::Gray8)

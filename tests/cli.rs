@@ -12,6 +12,7 @@ use serde_json::Value;
 mod program;
 use program::{Ran, WEIGHTS, command, f32_bytes, folder, ramp, run, write_tensors};
 
+const SMALL_WEIGHTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet-s.safetensors");
 const PICTURES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/pictures");
 
 /// Runs the program where the Vulkan loader finds no driver.
@@ -142,6 +143,38 @@ fn damaged_weights_are_named() {
     let arguments = ["detect", "x.png", "--weights", "w.safetensors", "--leave-out", "scales"];
     let ran = run(folder.path(), &arguments).expect(3).tells(name).tells("got none");
     assert_eq!(ran.stdout, "");
+}
+
+/// At 30 pixels a millimetre the longest input shows 48 mm.
+#[test]
+fn a_picture_that_shows_too_much_for_the_weights_ends_no_other() {
+    let folder = folder();
+    let bytes = fs::read(SMALL_WEIGHTS).expect("the weights");
+    let (_, header) = SafeTensors::read_metadata(&bytes).expect("a header");
+    let mut metadata = header.metadata().clone().expect("metadata");
+    let mut config: Value = serde_json::from_str(&metadata["config"]).expect("JSON");
+    let parsed = SafeTensors::deserialize(&bytes).expect("tensors");
+    let mut write = |scale: f64| {
+        config["pixels_per_mm"] = scale.into();
+        metadata.insert("config".into(), config.to_string());
+        let bytes = safetensors::serialize(parsed.iter(), Some(metadata.clone())).expect("a file");
+        fs::write(folder.path().join("w.safetensors"), bytes).expect("written");
+    };
+    ramp(600, 400).save(folder.path().join("wide.png")).expect("saved");
+    ramp(600, 600).save(folder.path().join("square.png")).expect("saved");
+    let arguments =
+        ["detect", "wide.png", "square.png", "--weights", "w.safetensors", "--device", "cpu"];
+    write(30.0);
+    let ran = run(folder.path(), &arguments).expect(1);
+    assert!(ran.stdout.contains("square.png"), "{}", ran.stdout);
+    ran.tells(
+        "wide.png: picture: expected a field of at most 48.000 mm along its longer side, which is 1440 \
+         pixels at the weights' 30 a millimetre, got 60.000 mm",
+    );
+    // No field would fit.
+    write(1e5);
+    let ran = run(folder.path(), &arguments).expect(3).tells("w.safetensors");
+    ran.tells("pixels_per_mm: expected a number from 0.001 to 144, got 100000");
 }
 
 #[test]

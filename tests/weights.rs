@@ -307,6 +307,8 @@ fn every_value_of_the_configuration_has_a_range() {
         // Rounded to whole pixels nothing is left of it.
         ("anchor_sizes", &["[1]"]),
         ("mm_per_pixel", &["0", "-0.04", "1e38", "1e39", "1e-40", "1e-5", "11", "null"]),
+        // 32 pixels for 0.1 mm.
+        ("mm_per_pixel", &["0.0001"]),
         ("picture_size", &["0", "-1", "65536", "4294967296", "1.5"]),
         ("stride", &["0", "16", "-8"]),
         ("reduction", &["0", "65", "18446744073709551615", "-16"]),
@@ -335,7 +337,7 @@ fn every_value_of_the_configuration_has_a_range() {
         ("std", "[0.001,0.00392156862745098,1000]"),
         ("anchor_sizes", "[2,2048]"),
         ("anchor_ratios", "[0.01,100]"),
-        ("mm_per_pixel", "0.0001"),
+        ("mm_per_pixel", "10"),
         ("picture_size", "65535"),
         ("reduction", "64"),
     ];
@@ -378,7 +380,7 @@ fn every_value_of_format_2_has_a_range() {
         whole.to_string().replace("\"@\"", value)
     };
     let cases: &[(&str, &[&str], &[&str])] = &[
-        ("pixels_per_mm", &["0.001", "1e6"], &["0", "-8", "1e7", "null"]),
+        ("pixels_per_mm", &["0.001", "144"], &["0", "-8", "145", "1e5", "null"]),
         ("directed", &["[]", r#"["B","A"]"#], &[r#"["C"]"#, r#"["a"]"#]),
         ("stem", &["8", "4096"], &["0", "4097"]),
         ("channels", &["[8,9,4096,10]"], &["[0,64,128,192]", "[32,64,128,4097]"]),

@@ -27,7 +27,8 @@ impl Geometry {
     /// The part at the network's own scale, or with `longer` pixels along its longer side.
     ///
     /// # Errors
-    /// [`Error::Param`] for an input past [`ModelConfig::INPUT_SIZES`].
+    /// [`Error::Param`] for `longer` past [`ModelConfig::INPUT_SIZES`]; [`Error::Picture`] for a part that is
+    /// past them at the network's own scale.
     pub fn new(view: &View, model: &ModelConfig, longer: Option<usize>) -> Result<Self> {
         let part = [view.part.width, view.part.height].map(f64::from);
         let scale = match longer {
@@ -39,10 +40,21 @@ impl Geometry {
         let padded = |side: usize| side.checked_next_multiple_of(32).unwrap_or(side);
         let [width, height] = resized.map(padded);
         for side in [width, height] {
-            if !ModelConfig::is_input_size(side) {
+            if ModelConfig::is_input_size(side) {
+                continue;
+            }
+            if longer.is_some() {
                 let expected = ModelConfig::INPUT_SIZES;
                 return Err(Error::param("detect", "input_size", expected, side));
             }
+            let (scale, most) = (model.pixels_per_mm, ModelConfig::MAX_INPUT);
+            let field = part[0].max(part[1]) * f64::from(view.mm_per_pixel);
+            let message = format!(
+                "expected a field of at most {:.3} mm along its longer side, which is {most} pixels at the \
+                 weights' {scale} a millimetre, got {field:.3} mm",
+                most as f32 / scale
+            );
+            return Err(Error::Picture { file: "picture".into(), message });
         }
         Ok(Self { resized, size: [height, width] })
     }

@@ -93,7 +93,8 @@ impl GpuDetector {
     ///
     /// # Errors
     /// [`Error::Weights`], [`Error::NoAdapter`], [`Error::Device`], [`Error::Shader`],
-    /// [`Error::Sensor`], or [`Error::Param`] for a threshold out of its range or an unknown class.
+    /// [`Error::Sensor`], [`Error::Picture`] for a sensor whose frames show more gel than the weights' input
+    /// holds, or [`Error::Param`] for a threshold out of its range or an unknown class.
     pub fn new(config: Config) -> Result<Self> {
         pollster::block_on(Self::new_async(config))
     }
@@ -298,8 +299,8 @@ impl GpuDetector {
     /// along its shorter side, of which the middle 60 mm at most along the longer one are seen.
     ///
     /// # Errors
-    /// [`Error::Picture`] for an empty picture, [`Error::Param`] for a frame whose buffer does not
-    /// hold what it says, [`Error::Sensor`] for one that cannot be the sensor's, [`Error::Capacity`]
+    /// [`Error::Picture`] for an empty picture, or one that shows more gel than the weights' input holds,
+    /// [`Error::Param`] for a frame whose buffer does not hold what it says, [`Error::Sensor`] for one that cannot be the sensor's, [`Error::Capacity`]
     /// for one past the device's largest binding,
     /// [`Error::DeviceLost`], [`Error::Timeout`] or [`Error::Driver`] from the device,
     /// [`Error::NotFinite`] if the network overflowed.

@@ -7,9 +7,6 @@ use serde_json::Value;
 
 use crate::ops::{MEAN, STD};
 
-/// Longest side of the input: conv1's output, 64 channels at half the size, must fit a binding of
-/// 128 MiB.
-const MAX_INPUT: usize = 1440;
 /// Most classes: 100 proposals in each must fit the 1024 boxes of one non-maximum suppression.
 const MAX_CLASSES: usize = 10;
 /// Characters of the longest class name.
@@ -20,8 +17,8 @@ const MAX_ANCHORS: usize = 64;
 const ANCHOR_SIZE: [f32; 2] = [1.0, 2048.0];
 /// Ratios of anchors.
 const ANCHOR_RATIO: [f32; 2] = [0.01, 100.0];
-/// Pixels of the network's input for a millimetre of gel.
-const PIXELS_PER_MM: [f32; 2] = [1e-3, 1e6];
+/// Pixels of the network's input for a millimetre of gel: up to the longest input for the least field, 10 mm.
+const PIXELS_PER_MM: [f32; 2] = [1e-3, ModelConfig::MAX_INPUT as f32 / 10.0];
 /// Millimetres a pixel in format 1: from below the wavelength of light to a centimetre.
 const MM_PER_PIXEL: [f32; 2] = [1e-4, 10.0];
 /// Longest side of the sensor's picture in format 1, as of a crop.
@@ -136,8 +133,10 @@ impl ModelConfig {
         let fits = (1..=MAX_PICTURE).contains(&old.picture_size);
         expect(fits, "picture_size", format!("1 to {MAX_PICTURE}"), &old.picture_size)?;
         let field = f64::from(old.mm_per_pixel) * f64::from(old.picture_size);
+        let pixels_per_mm = (old.input_size as f64 / field) as f32;
+        number("input_size / (mm_per_pixel * picture_size)", pixels_per_mm, PIXELS_PER_MM)?;
         Ok(Self {
-            pixels_per_mm: (old.input_size as f64 / field) as f32,
+            pixels_per_mm,
             mean: old.mean,
             std: old.std,
             classes: old.classes,
@@ -176,12 +175,15 @@ impl ModelConfig {
         }
     }
 
+    /// Longest side of the network's input: conv1's output, 64 channels at half the size, must fit a binding
+    /// of 128 MiB.
+    pub const MAX_INPUT: usize = 1440;
     /// What [`ModelConfig::is_input_size`] admits, in words.
     pub const INPUT_SIZES: &str = "a multiple of 32 from 32 to 1440";
 
     /// Whether the network's input may have a side of so many pixels.
     pub fn is_input_size(size: usize) -> bool {
-        size.is_multiple_of(32) && (32..=MAX_INPUT).contains(&size)
+        size.is_multiple_of(32) && (32..=Self::MAX_INPUT).contains(&size)
     }
 
     /// Checks every value against its range; NaN is in none.

@@ -215,13 +215,24 @@ fn a_device_that_takes_too_long_is_told_from_a_bad_picture() {
     for name in pictures {
         ramp(40, 30).save(folder.path().join(name)).expect("a picture");
     }
-    let hurried = ["--exact", "--timeout", "0", "--device", "gpu"];
-    let ran = run(folder.path(), &[&["detect"], &pictures[..], &hurried].concat()).expect(5);
-    // Each for itself.
-    for name in pictures {
-        let line = ran.told().into_iter().find(|line| line.contains(name));
-        let line = line.unwrap_or_else(|| panic!("{name} is not named: {:?}", ran.told()));
-        assert!(line.contains("did not finish the network within 0 s"), "{line}");
+    let labels = serde_json::json!({
+        "categories": [{"id": 1, "name": "A"}],
+        "images": [{"id": 1, "file_name": "one.png"}, {"id": 2, "file_name": "two.png"}],
+        "annotations": []
+    });
+    fs::write(folder.path().join("annotations.json"), labels.to_string()).expect("written");
+    for command in [
+        &["detect", "one.png", "two.png", "--exact", "--device", "gpu"][..],
+        &["compare", "one.png", "two.png"],
+        &["eval", "--data", ".", "--exact", "--device", "gpu"],
+    ] {
+        let ran = run(folder.path(), &[command, &["--timeout", "0"]].concat()).expect(5);
+        // Each for itself.
+        for name in pictures {
+            let line = ran.told().into_iter().find(|line| line.contains(name));
+            let line = line.unwrap_or_else(|| panic!("{name} is not named: {:?}", ran.told()));
+            assert!(line.contains("did not finish the network within 0 s"), "{line}");
+        }
     }
 }
 

@@ -84,9 +84,8 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     for source in &sources {
         let comparison = match compare(&detector, source) {
             Ok(comparison) => comparison,
-            Err(Failure { exit: Exit::Inputs, message }) => {
-                message.into_iter().for_each(tell);
-                exit = Exit::Inputs;
+            Err(failure) if failure.is_of_one_picture() => {
+                exit = exit.max(failure.told().exit);
                 continue;
             }
             Err(failure) => return Err(failure.told()),
@@ -98,7 +97,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         }
         for failure in comparison.failures() {
             tell(format!("{source}: {failure}"));
-            exit = Exit::Inputs;
+            exit = exit.max(Exit::Inputs);
         }
     }
     Ok(exit)

@@ -158,10 +158,8 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         };
         let (found, stages) = match look(&detector, source, &picture, &args) {
             Ok(found) => found,
-            // A device that was late for one picture may not be for the next.
-            Err(Failure { exit: why @ (Exit::Inputs | Exit::Lost), message }) => {
-                message.into_iter().for_each(tell);
-                exit = exit.max(why);
+            Err(failure) if failure.is_of_one_picture() => {
+                exit = exit.max(failure.told().exit);
                 continue;
             }
             Err(failure) => return Err(failure.told()),

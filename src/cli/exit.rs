@@ -60,6 +60,11 @@ impl Failure {
         Self { message: None, ..self }
     }
 
+    /// Whether it may be one picture's alone. A device that was late for one may not be for the next.
+    pub fn is_of_one_picture(&self) -> bool {
+        matches!(self.exit, Exit::Inputs | Exit::Lost)
+    }
+
     pub fn usage(message: impl Display) -> Self {
         Self::new(Exit::Usage, message)
     }

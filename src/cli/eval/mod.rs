@@ -20,7 +20,7 @@ use smr_gpu::{Detections, Frame, GpuDetector};
 use super::detector::{self, DetectorArgs, fraction};
 use super::draw::Gallery;
 use super::exit::{Exit, Failure};
-use super::output::{json_line, tell};
+use super::output::json_line;
 use super::picture;
 use super::source::Source;
 
@@ -105,7 +105,16 @@ struct Set {
     seen: Vec<Seen>,
     places: Vec<usize>,
     failed: usize,
+    /// What the failed ones make of the exit code.
+    exit: Exit,
     seconds: f64,
+}
+
+impl Set {
+    fn named(name: &str) -> Self {
+        let (seen, places) = (Vec::new(), Vec::new());
+        Self { name: name.into(), seen, places, failed: 0, exit: Exit::Done, seconds: 0.0 }
+    }
 }
 
 /// Figures of one class, or of all together.
@@ -192,13 +201,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     };
     let progress = ProgressBar::new(labels.iter().map(|(_, p)| p.len() as u64).sum());
     let progress = progress.with_style(style());
-    let mut together = Set {
-        name: TOGETHER.into(),
-        seen: Vec::new(),
-        places: Vec::new(),
-        failed: 0,
-        seconds: 0.0,
-    };
+    let mut together = Set::named(TOGETHER);
     // What the options say of the scale goes before what labels say.
     let unstated = args.unstated || args.detector.network.states_scale();
     for (number, (name, pictures)) in labels.iter().enumerate() {
@@ -221,6 +224,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             })?;
         }
         together.failed += set.failed;
+        together.exit = together.exit.max(set.exit);
         together.seconds += set.seconds;
         together.seen.extend(set.seen);
     }
@@ -244,10 +248,10 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     if !args.json {
         print::remark(&report);
     }
-    Ok(if together.failed > 0 { Exit::Inputs } else { Exit::Done })
+    Ok(together.exit)
 }
 
-/// Detects in all pictures of a set. Those that cannot be read are told of and counted.
+/// Detects in all pictures of a set. Those that fail are told of and counted.
 fn look_at(
     detector: &GpuDetector,
     name: &str,
@@ -255,8 +259,7 @@ fn look_at(
     unstated: bool,
     progress: &ProgressBar,
 ) -> Result<Set, Failure> {
-    let mut set =
-        Set { name: name.into(), seen: Vec::new(), places: Vec::new(), failed: 0, seconds: 0.0 };
+    let mut set = Set::named(name);
     for (place, labelled) in pictures.iter().enumerate() {
         match look(detector, labelled, unstated) {
             Ok(found) => {
@@ -264,8 +267,8 @@ fn look_at(
                 set.seen.push(seen(labelled, &found));
                 set.places.push(place);
             }
-            Err(Failure { exit: Exit::Inputs, message }) => {
-                progress.suspend(|| message.into_iter().for_each(tell));
+            Err(failure) if failure.is_of_one_picture() => {
+                set.exit = set.exit.max(progress.suspend(|| failure.told().exit));
                 set.failed += 1;
             }
             Err(failure) => return Err(failure.told()),

@@ -661,6 +661,15 @@ fn evaluation_of_several_sets_is_one_table() {
     assert_eq!((sheet.width(), sheet.height()), (416, 440));
     assert!(!folder.path().join("worst/worst-none.png").exists());
 
+    // A sheet that cannot be written takes no figures with it; a folder has a name wherever one stands.
+    let arguments = ["eval", "--data", ".", "--device", "cpu", "--json", "--save"];
+    let one = folder.path().join("one");
+    let ran = run(&one, &[&arguments[..], &["/proc/self"]].concat()).expect(6);
+    assert_eq!(ran.json()[0]["pictures"], 1);
+    ran.tells("/proc/self/worst-one.png: cannot write");
+    run(&one, &[&arguments[..], &["../here"]].concat()).expect(0);
+    assert!(folder.path().join("here/worst-one.png").exists());
+
     // A mistake in the last set is told before the first is looked at.
     let ran = run(folder.path(), &["eval", "--data", "one", "nowhere", "--json"]);
     assert_eq!(ran.expect(1).tells("nowhere").stdout, "");

@@ -14,7 +14,7 @@ use smr_gpu::{Detection, Detections, Frame, GpuDetector, Precision, Rect, Weight
 
 use super::detector::{self, DetectorArgs, fraction};
 use super::draw::{Artist, Gallery};
-use super::exit::{Exit, Failure};
+use super::exit::{Exit, Failure, told};
 use super::output::{count, json_line, line, tell};
 use super::printable::printable;
 use super::source::{Source, column_width, expand_all};
@@ -232,11 +232,6 @@ fn dump(
     ]);
     let stages = stages.iter().map(|(name, value)| (name.as_str(), value));
     tensors::write(outputs, file, stages, metadata)
-}
-
-/// Tells why something was not written, and gives its share of the exit code.
-fn told(result: Result<(), Failure>) -> Exit {
-    result.map_or_else(|failure| failure.told().exit, |()| Exit::Done)
 }
 
 fn record<'a>(source: &Source, found: &'a Detections, detector: &'a GpuDetector) -> Record<'a> {

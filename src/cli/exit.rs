@@ -70,6 +70,11 @@ impl Failure {
     }
 }
 
+/// Tells why something was not written, and gives its share of the exit code.
+pub(super) fn told(result: Result<(), Failure>) -> Exit {
+    result.map_or_else(|failure| failure.told().exit, |()| Exit::Done)
+}
+
 impl From<files::Error> for Failure {
     fn from(error: files::Error) -> Self {
         let exit = match error {

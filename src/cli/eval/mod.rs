@@ -19,7 +19,7 @@ use smr_gpu::{Detections, Frame, GpuDetector};
 
 use super::detector::{self, DetectorArgs, fraction};
 use super::draw::Gallery;
-use super::exit::{Exit, Failure};
+use super::exit::{Exit, Failure, told};
 use super::output::json_line;
 use super::picture;
 use super::source::Source;
@@ -209,10 +209,12 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         if let Some(gallery) = &mut gallery {
             let looked_at = set.places.iter().map(|place| &pictures[*place]).zip(&set.seen);
             let sheet = sheet::worst(&looked_at.collect::<Vec<_>>(), &classes, args.conf);
-            let stem = args.data[number].file_name().map(|n| n.to_string_lossy().into_owned());
-            let source = Source::File(format!("worst-{}.png", stem.unwrap_or_default()).into());
+            let source =
+                Source::File(format!("worst-{}.png", folder_name(&args.data[number])).into());
             if let Some(sheet) = sheet {
-                gallery.save(&mut outputs, &source, &sheet)?;
+                // A file that cannot be written takes no figures with it.
+                let saved = gallery.save(&mut outputs, &source, &sheet);
+                together.exit = together.exit.max(progress.suspend(|| told(saved)));
             }
         }
         if several {
@@ -276,6 +278,12 @@ fn look_at(
         progress.inc(1);
     }
     Ok(set)
+}
+
+/// A folder's own name, also where the path ends with `.` or `..`.
+fn folder_name(path: &Path) -> String {
+    let name = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
+    name(path).or_else(|| name(&path.canonicalize().ok()?)).unwrap_or_default()
 }
 
 fn style() -> ProgressStyle {

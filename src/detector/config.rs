@@ -124,6 +124,9 @@ pub struct Config {
     pub reference: Option<Arc<Frame<'static>>>,
     /// A detection's score must be above this; in `[0, 1]`.
     pub score: f32,
+    /// The score from which a box counts, where `score` is lower so that others are seen besides: what is in
+    /// doubt is so about this ([`Scene::doubt`]). In `[0, 1]`; `None` for `score`.
+    pub counts_above: Option<f32>,
     /// Of two detections of a class whose intersection over union is above this, the lower goes; in
     /// `[0, 1]`.
     pub iou: f32,
@@ -183,6 +186,7 @@ impl Config {
             scene: Scene::default(),
             reference: None,
             score: 0.05,
+            counts_above: None,
             iou: 0.5,
             max_detections: MAX_DETECTIONS,
             classes: Vec::new(),
@@ -238,6 +242,12 @@ impl Config {
     /// Sets [`Config::score`].
     pub fn score(mut self, above: f32) -> Self {
         self.score = above;
+        self
+    }
+
+    /// Sets [`Config::counts_above`].
+    pub fn counts_above(mut self, score: f32) -> Self {
+        self.counts_above = Some(score);
         self
     }
 
@@ -313,8 +323,19 @@ impl Config {
         self
     }
 
+    /// The score that a box must pass to count.
+    fn asked(&self) -> f32 {
+        self.counts_above.unwrap_or(self.score)
+    }
+
+    /// Whether a box of this score leaves doubt where less than all was looked at.
+    pub(super) fn is_doubtful(&self, score: f32) -> bool {
+        self.scene.is_doubtful(score, self.asked())
+    }
+
     pub(super) fn wanted(&self, model: &ModelConfig) -> Result<Wanted> {
-        for (name, value) in [("score", self.score), ("iou", self.iou)] {
+        let scores = [("score", self.score), ("counts_above", self.asked()), ("iou", self.iou)];
+        for (name, value) in scores {
             // A NaN is in no range.
             if !(0.0..=1.0).contains(&value) {
                 return Err(Error::param("detect", name, "a number from 0 to 1", value));
@@ -337,11 +358,30 @@ impl Config {
             class_mask = u32::MAX;
         }
         Ok(Wanted {
-            score: self.scene.least_score(self.score),
+            score: self.scene.least_score(self.asked()).min(self.score),
             iou: self.iou,
             max_detections: self.max_detections,
             class_mask,
             ..Wanted::ALL
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Boxes down to a score that does not count are seen, and those about the one that does are doubtful.
+    #[test]
+    fn doubt_is_about_the_score_that_counts() {
+        let model = ModelConfig::large();
+        let alone = Config::new("weights").score(0.5);
+        assert!(alone.is_doubtful(0.3) && !alone.is_doubtful(0.1));
+        assert_eq!(alone.wanted(&model).expect("a range").score, 0.5 * 0.4);
+        let besides = Config::new("weights").score(0.05).counts_above(0.5);
+        assert!(besides.is_doubtful(0.3) && !besides.is_doubtful(0.04));
+        assert_eq!(besides.wanted(&model).expect("a range").score, 0.05);
+        let error = alone.counts_above(f32::NAN).wanted(&model).expect_err("a range");
+        assert!(error.to_string().contains("counts_above"), "{error}");
     }
 }

@@ -157,7 +157,7 @@ async fn look_as(
 
 /// Whether a box may pass with nothing left out that does not so far.
 fn leaves_doubt(found: &Detections, config: &Config) -> bool {
-    found.detections.iter().any(|found| config.scene.is_doubtful(found.score, config.score))
+    found.detections.iter().any(|found| config.is_doubtful(found.score))
 }
 
 /// Looks at each picture's windows. What may leave doubt is among the detections.

@@ -40,9 +40,10 @@ pub struct Scene {
     pub margin_mm: f32,
     /// Share of the network's input above which all of it is computed; from 0 to 1.
     pub most_of_input: f32,
-    /// How far on the way from the asked-for [`Config::score`](crate::Config::score) to 0 a box is doubtful that
-    /// parts show, two scales or the best proposals: with nothing left out it may pass, and so the network looks
-    /// again, at all of the picture. With 0 no box is; from 0 to 1.
+    /// How far on the way from the asked-for [`Config::score`](crate::Config::score), or
+    /// [`Config::counts_above`](crate::Config::counts_above), to 0 a box is doubtful that parts show, two scales
+    /// or the best proposals: with nothing left out it may pass, and so the network looks again, at all of the
+    /// picture. With 0 no box is; from 0 to 1.
     pub doubt: f32,
     /// Proposals of 320 × 320 pixels of the network's input that reach its last part, those of the highest
     /// objectness; of more or less the area's share, in whole sixteens. From 1 to 100.

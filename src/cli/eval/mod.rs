@@ -153,6 +153,8 @@ struct Report {
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let mut config = args.detector.config()?;
     config.score = args.conf.min(LEAST_SCORE as f32);
+    // What is left out, and when it is looked at again, is as in `detect`.
+    config.counts_above = Some(args.conf);
     let nms_iou = config.iou;
     let detector = detector::open(config)?;
     let classes = detector.model().classes.clone();

@@ -734,7 +734,21 @@ fn the_sensor_sets_scale_and_input() {
     let scale = |ran: &Ran| ran.json()[0]["mm_per_pixel"].as_f64().expect("a scale") as f32;
     let assumed = detect(&[]).expect(0);
     assert_eq!(scale(&assumed), 40.0 / 300.0);
-    assumed.tells("400 × 300 is no frame of the paper's sensor");
+    let assumption = "x.png: 400 × 300 is no frame of the paper's sensor";
+    assumed.tells(assumption);
+    run(folder.path(), &["compare", "x.png", "--size", "32"]).expect(0).tells(assumption);
+    let labels = |stated: &str| {
+        let labels = r#"{ "categories": [], "annotations": [], "images":
+            [{ "id": 1, "file_name": "x.png" STATED }, { "id": 2, "file_name": "y.png" STATED }] }"#;
+        let file = folder.path().join("annotations.json");
+        fs::write(file, labels.replace("STATED", stated)).expect("written");
+        run(folder.path(), &["eval", "--data", ".", "--device", "cpu"]).expect(0)
+    };
+    fs::copy(folder.path().join("x.png"), folder.path().join("y.png")).expect("copied");
+    let told = labels("").tells(assumption).stderr;
+    assert_eq!(told.matches("is no frame").count(), 1, "{told}");
+    let told = labels(r#", "mm_per_pixel": 0.05"#).stderr;
+    assert_eq!(told.matches("is no frame").count(), 0, "{told}");
     let stated = detect(&["--mm-per-pixel", "0.05"]).expect(0);
     assert!(stated.told().is_empty(), "{:?}", stated.told());
     assert_eq!(scale(&stated), 0.05);

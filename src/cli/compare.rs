@@ -6,7 +6,7 @@ use std::time::Duration;
 use serde::Serialize;
 use smr_gpu::{Comparison, Device, Frame, GpuDetector, Scene};
 
-use super::detector::{AdapterArgs, NetworkArgs, fraction};
+use super::detector::{AdapterArgs, Assumed, NetworkArgs, fraction};
 use super::exit::{Exit, Failure};
 use super::output::{count, json_line, line, tell};
 use super::picture;
@@ -81,6 +81,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     if !alone && !args.json {
         heading(&sources)?;
     }
+    let mut assumed = Assumed::default();
     for source in &sources {
         let comparison = match compare(&detector, source) {
             Ok(comparison) => comparison,
@@ -90,6 +91,9 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             }
             Err(failure) => return Err(failure.told()),
         };
+        if let Some(what) = assumed.remark(&detector, source, &comparison.found) {
+            tell(what);
+        }
         match (args.json, alone) {
             (true, _) => json_line(&record(source, &detector, &comparison))?,
             (false, true) => report(&comparison)?,

@@ -1,6 +1,6 @@
 //! `smr-gpu detect`: finds the snaps in pictures, prints and draws them.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -12,7 +12,7 @@ use smr_gpu::graph::StageTime;
 use smr_gpu::tradeoff::Limit;
 use smr_gpu::{Detection, Detections, Frame, GpuDetector, Precision, Rect, WeightSource};
 
-use super::detector::{self, DetectorArgs, fraction};
+use super::detector::{self, Assumed, DetectorArgs, fraction};
 use super::draw::{Artist, Gallery};
 use super::exit::{Exit, Failure, told};
 use super::output::{count, json_line, line, tell};
@@ -146,7 +146,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         table.heading()?;
     }
     let (mut pictures, mut snaps, start) = (0, 0, Instant::now());
-    let mut assumed = HashSet::new();
+    let mut assumed = Assumed::default();
     for source in &sources {
         let picture = match picture::read(source) {
             Ok(picture) => picture,
@@ -164,12 +164,8 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             }
             Err(failure) => return Err(failure.told()),
         };
-        let size = (found.width, found.height);
-        if let Some(what) = detector.assumption(size.0, size.1)
-            && assumed.insert(size)
-        {
-            // Once a size: others of it are most likely of the same sensor.
-            tell(format!("{source}: {what}; --sensor or --mm-per-pixel say better"));
+        if let Some(what) = assumed.remark(&detector, source, &found) {
+            tell(what);
         }
         if found.precision != detector.precision() {
             tell(format!("{source}: past what f16 holds; looked at again in f32"));

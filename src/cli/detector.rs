@@ -1,5 +1,6 @@
 //! Options that several commands share, and opening what they ask for.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,11 +8,13 @@ use std::time::Duration;
 use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions};
 use smr_gpu::model::ModelConfig;
 use smr_gpu::{
-    Config, Device, Error, Frame, GpuDetector, PixelFormat, Precision, Scene, Sensor, picture,
+    Config, Detections, Device, Error, Frame, GpuDetector, PixelFormat, Precision, Scene, Sensor,
+    picture,
 };
 
 use super::exit::{Exit, Failure};
 use super::output::tell;
+use super::source::Source;
 use super::tune;
 
 /// The weight files by name, relative to the folders in which they are looked for.
@@ -257,6 +260,25 @@ pub(super) fn open(config: Config) -> Result<GpuDetector, Failure> {
     let detector = GpuDetector::new(config)?;
     detector.remarks().iter().for_each(tell);
     Ok(detector)
+}
+
+/// The sizes of pictures of which it was told what is assumed.
+#[derive(Debug, Default)]
+pub(super) struct Assumed(HashSet<[u32; 2]>);
+
+impl Assumed {
+    /// What is assumed of a picture's scale, to be told once a size: others of it are most likely of the same
+    /// sensor.
+    pub fn remark(
+        &mut self,
+        detector: &GpuDetector,
+        source: &Source,
+        found: &Detections,
+    ) -> Option<String> {
+        let what = detector.assumption(found.width, found.height)?;
+        let is_new = self.0.insert([found.width, found.height]);
+        is_new.then(|| format!("{source}: {what}; --sensor or --mm-per-pixel say better"))
+    }
 }
 
 /// Opens a GPU for `device`; `None` stands for the CPU, as in [`open`].

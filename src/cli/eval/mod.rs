@@ -17,10 +17,10 @@ use smr_gpu::files::{self, Outputs};
 use smr_gpu::metrics::{ScoredBox, Truth};
 use smr_gpu::{Detections, Frame, GpuDetector};
 
-use super::detector::{self, DetectorArgs, fraction};
+use super::detector::{self, Assumed, DetectorArgs, fraction};
 use super::draw::Gallery;
 use super::exit::{Exit, Failure, told};
-use super::output::json_line;
+use super::output::{json_line, tell};
 use super::picture;
 use super::source::Source;
 
@@ -92,6 +92,11 @@ pub(super) struct Labelled {
 }
 
 impl Labelled {
+    /// The scale that its label states, unless that is `unstated`.
+    fn stated_scale(&self, unstated: bool) -> Option<f32> {
+        self.picture.mm_per_pixel.filter(|_| !unstated)
+    }
+
     /// What it shows of a class.
     pub fn truths(&self, class: usize) -> Vec<Truth> {
         self.snaps.iter().filter(|snap| snap.class == class).map(|snap| snap.truth).collect()
@@ -204,10 +209,11 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let progress = ProgressBar::new(labels.iter().map(|(_, p)| p.len() as u64).sum());
     let progress = progress.with_style(style());
     let mut together = Set::named(TOGETHER);
+    let mut assumed = Assumed::default();
     // What the options say of the scale goes before what labels say.
     let unstated = args.unstated || args.detector.network.states_scale();
     for (number, (name, pictures)) in labels.iter().enumerate() {
-        let set = look_at(&detector, name, pictures, unstated, &progress)?;
+        let set = look_at(&detector, name, pictures, unstated, &mut assumed, &progress)?;
         if let Some(gallery) = &mut gallery {
             let looked_at = set.places.iter().map(|place| &pictures[*place]).zip(&set.seen);
             let sheet = sheet::worst(&looked_at.collect::<Vec<_>>(), &classes, args.conf);
@@ -261,12 +267,18 @@ fn look_at(
     name: &str,
     pictures: &[Labelled],
     unstated: bool,
+    assumed: &mut Assumed,
     progress: &ProgressBar,
 ) -> Result<Set, Failure> {
     let mut set = Set::named(name);
     for (place, labelled) in pictures.iter().enumerate() {
         match look(detector, labelled, unstated) {
             Ok(found) => {
+                if labelled.stated_scale(unstated).is_none()
+                    && let Some(what) = assumed.remark(detector, &labelled.source, &found)
+                {
+                    progress.suspend(|| tell(what));
+                }
                 set.seconds += found.wall.as_secs_f64();
                 set.seen.push(seen(labelled, &found));
                 set.places.push(place);
@@ -344,7 +356,7 @@ fn look(
     let checked = labelled.picture.check_size(picture.width(), picture.height());
     checked.map_err(|e| failed(e.to_string()))?;
     let mut frame = Frame::from(&picture);
-    frame.mm_per_pixel = labelled.picture.mm_per_pixel.filter(|_| !unstated);
+    frame.mm_per_pixel = labelled.stated_scale(unstated);
     detector.detect_frame(&frame).map_err(|e| Failure::about(source, &e))
 }
 

@@ -375,6 +375,27 @@ impl Sensor {
         })?;
         Ok(View { frame, part, middle: part.middle(), mm_per_pixel, lens })
     }
+
+    /// The part of this sensor's frames of size `other` that shows what a view's part does; `None` for what
+    /// they do not show, and for a sensor without a size of its own.
+    pub(crate) fn same_part(&self, view: &View, other: [u32; 2]) -> Option<Rect> {
+        self.frame?;
+        // Where the whole frame's middle is in each, and how large the whole frame.
+        let lens = |size| self.view(size, None).ok().map(|view| view.lens);
+        let (here, there) = (lens(view.frame)?, lens(other)?);
+        let scale = there.half_diagonal / here.half_diagonal;
+        let side = |axis: usize, at: u32, length: u32| {
+            let edge = |at: u32| ((at as f32 - here.axis[axis]) * scale + there.axis[axis]).round();
+            let (from, to, all) = (edge(at), edge(at + length), other[axis] as f32);
+            let rounding = SAME_SHAPE as f32 * all;
+            let shown = from >= -rounding && to <= all + rounding;
+            let (from, to) = (from.max(0.0), to.min(all));
+            (shown && from < to).then(|| (from as u32, (to - from) as u32))
+        };
+        let (x, width) = side(0, view.part.x, view.part.width)?;
+        let (y, height) = side(1, view.part.y, view.part.height)?;
+        Some(Rect { x, y, width, height })
+    }
 }
 
 /// What a frame shows of a sensor that nobody named: the paper's. A frame of its shape has the gel where
@@ -447,6 +468,25 @@ mod tests {
         let want = "sensor `paper`: expected frames of the shape of 1920 × 1200 pixels, or of its gel's \
                     1000 × 1000; got 640 × 480";
         assert_eq!(message, want);
+    }
+
+    #[test]
+    fn frames_of_two_sizes_show_the_same_in_these_parts() {
+        let paper = Sensor::paper();
+        let same =
+            |frame, crop, other| paper.same_part(&paper.view(frame, crop).expect("a view"), other);
+        // Half as many pixels, the gel alone at half, and a part of that.
+        assert_eq!(same([960, 600], None, [1920, 1200]), Some(rect(460, 100, 1000, 1000)));
+        assert_eq!(same([500, 500], None, [1920, 1200]), Some(rect(460, 100, 1000, 1000)));
+        let part = Some(rect(10, 20, 300, 200));
+        assert_eq!(same([500, 500], part, [1920, 1200]), Some(rect(480, 140, 600, 400)));
+        // The gel alone does not show what is beside it.
+        assert_eq!(same([1920, 1200], None, [500, 500]), Some(rect(0, 0, 500, 500)));
+        assert_eq!(same([1920, 1200], Some(rect(300, 100, 1000, 1000)), [500, 500]), None);
+        assert_eq!(same([1920, 1200], None, [640, 480]), None);
+        let plain = Sensor::plain();
+        let view = plain.view([100, 100], None).expect("a view");
+        assert_eq!(plain.same_part(&view, [200, 200]), None);
     }
 
     #[test]

@@ -6,7 +6,8 @@ use smr_gpu::detector::MOST_REUSED;
 use smr_gpu::gpu::AdapterChoice;
 use smr_gpu::metrics::box_iou;
 use smr_gpu::{
-    Config, Detections, Device, Frame, GpuDetector, PixelFormat, Precision, Scene, picture,
+    Config, Detections, Device, Frame, GpuDetector, PixelFormat, Precision, Rect, Scene, Sensor,
+    picture,
 };
 
 const SIDE: u32 = 1000;
@@ -87,6 +88,37 @@ fn a_reference_frame_tells_marks_from_contact() {
     // Frames of another size have no reference.
     let pixels = vec![128; 500 * 500];
     assert_eq!(contact(against, &Frame::new(pixels, 500, 500, PixelFormat::Gray8)), Some(false));
+}
+
+/// A sensor's frames at half their size, and its gel alone, are held to the reference too.
+#[test]
+fn a_reference_frame_is_scaled_and_cropped_as_the_frames_are() {
+    let gel_part = Rect { x: 100, y: 200, width: 800, height: 600 };
+    let mut sensor = Sensor::of_scale(0.04);
+    (sensor.frame, sensor.gel) = (Some([SIDE; 2]), Some(gel_part));
+    let config = config(Device::Cpu, Scene { contact: true, ..Scene::FULL }).sensor(sensor);
+    let detector = GpuDetector::new(config.reference(gel(2, 0.8, dots))).expect("a detector");
+    let contact = |frame: Frame| detector.detect_frame(&frame).expect("detections").contact;
+    let halved = |frame: &Frame| {
+        let (half, side) = (SIDE / 2, SIDE as usize);
+        let mean = |i: u32| {
+            let at = (i / half * 2) as usize * side + (i % half * 2) as usize;
+            let four = [at, at + 1, at + side, at + side + 1].map(|at| u32::from(frame.data[at]));
+            (four.iter().sum::<u32>() / 4) as u8
+        };
+        let pixels: Vec<u8> = (0..half * half).map(mean).collect();
+        Frame::new(pixels, half, half, PixelFormat::Gray8)
+    };
+    let alone = |frame: &Frame| {
+        let Rect { x, y, width, height } = gel_part;
+        let row = |y: u32| &frame.data[(y * SIDE + x) as usize..][..width as usize];
+        let pixels: Vec<u8> = (y..y + height).flat_map(row).copied().collect();
+        Frame::new(pixels, width, height, PixelFormat::Gray8)
+    };
+    let marked = gel(1, 1.0, dots);
+    let pressed = gel(1, 1.0, |x, y| dots(x, y) + disc(400, 500)(x, y));
+    assert_eq!([halved(&marked), alone(&marked)].map(contact), [Some(false); 2]);
+    assert_eq!([halved(&pressed), alone(&pressed)].map(contact), [Some(true); 2]);
 }
 
 #[test]

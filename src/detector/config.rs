@@ -120,7 +120,8 @@ pub struct Config {
     /// What is left out where a picture does not need it.
     pub scene: Scene,
     /// A frame of the sensor without contact, with which others are compared where `scene` looks for
-    /// contact; without one, or for frames of another size, the frame's own smooth background serves.
+    /// contact, scaled and cropped as they are; without one, or for frames of another size that are not the
+    /// sensor's, the frame's own smooth background serves.
     pub reference: Option<Arc<Frame<'static>>>,
     /// A detection's score must be above this; in `[0, 1]`.
     pub score: f32,

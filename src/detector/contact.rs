@@ -8,7 +8,7 @@ use crate::detector::input::Input;
 use crate::detector::pool::Pool;
 use crate::detector::runner::{On, Runner};
 use crate::error::Result;
-use crate::frame::Frame;
+use crate::frame::{Frame, Rect};
 use crate::gpu::Deadline;
 use crate::graph::{Graph, StageTime, TensorId};
 use crate::lower::Choice;
@@ -140,13 +140,12 @@ fn resize([height, width]: [usize; 2]) -> CropResize {
     CropResize { width, height, mean: [0.0; 3], std: [1.0 / 255.0; 3] }
 }
 
-/// The cells of a frame without contact.
+/// So many cells, in rows and columns, of a frame without contact, of which `part` shows what is compared.
 ///
 /// # Errors
 /// As [`Frame::bytes`].
-pub(super) fn reference_cells(frame: &Frame, view: &View) -> Result<Value> {
-    let size = cells(view);
-    let (bytes, all) = frame.bytes(view.part)?;
+pub(super) fn reference_cells(frame: &Frame, part: Rect, size: [usize; 2]) -> Result<Value> {
+    let (bytes, all) = frame.bytes(part)?;
     let [height, width] = size;
     let (op, crop) = (resize(size), Crop { resized: [width, height], ..all });
     Ok(crop_resize(&bytes, crop, size, op.mean, op.std).into())

@@ -414,17 +414,20 @@ impl GpuDetector {
         look?.look(input, reference.as_deref(), before, deadline).await
     }
 
-    /// The cells of [`Config::reference`] in a view, if it has the size of the view's frames.
+    /// The cells of [`Config::reference`] in a view, if that has its size or is the sensor's at another.
     fn reference(&self, view: &View) -> Result<Option<Arc<Value>>> {
         let Some(frame) = &self.config.reference else { return Ok(None) };
-        if view.frame != [frame.width, frame.height] {
-            return Ok(None);
-        }
+        let (size, sensor) = ([frame.width, frame.height], self.config.sensor.as_ref());
+        let part = match view.frame == size {
+            true => Some(view.part),
+            false => sensor.and_then(|sensor| sensor.same_part(view, size)),
+        };
+        let Some(part) = part else { return Ok(None) };
         let mut known = lock(&self.reference);
         if let Some((_, cells)) = known.as_ref().filter(|(of, _)| of == view) {
             return Ok(Some(cells.clone()));
         }
-        let cells = Arc::new(contact::reference_cells(frame, view)?);
+        let cells = Arc::new(contact::reference_cells(frame, part, contact::cells(view))?);
         *known = Some((*view, cells.clone()));
         Ok(Some(cells))
     }

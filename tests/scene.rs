@@ -121,6 +121,24 @@ fn a_reference_frame_is_scaled_and_cropped_as_the_frames_are() {
     assert_eq!([halved(&pressed), alone(&pressed)].map(contact), [Some(true); 2]);
 }
 
+/// Round the gel lies what is no gel, in the paper's whole frame.
+#[test]
+fn what_is_left_out_is_a_share_of_the_gel() {
+    let picture = picture::read(file("samples/stud.png")).expect("a sample").into_rgb8();
+    let mut whole = image::RgbImage::new(1920, 1200);
+    image::imageops::replace(&mut whole, &picture, 460, 100);
+    let scene = Scene { regions: true, ..Scene::FULL };
+    let detector = GpuDetector::new(config(Device::Cpu, scene)).expect("a detector");
+    let [alone, whole] = [picture, whole].map(|picture| {
+        let (width, height) = picture.dimensions();
+        let frame = Frame::new(picture.as_raw(), width, height, PixelFormat::Rgb8);
+        detector.detect_frame(&frame).expect("detections")
+    });
+    assert_eq!(whole.gel, Rect { x: 460, y: 100, width: 1000, height: 1000 });
+    assert!(whole.regions.as_ref().is_some_and(|parts| !parts.is_empty()));
+    assert_eq!(scene.left_out(&whole), scene.left_out(&alone));
+}
+
 #[test]
 fn parts_and_the_best_proposals_find_the_snap_that_the_whole_finds() {
     let picture = picture::read(file("samples/stud.png")).expect("a sample").into_rgb8();

@@ -49,6 +49,8 @@ pub struct Detections {
     pub width: u32,
     /// Height of the picture in pixels.
     pub height: u32,
+    /// The part of the picture that shows the gel, or that was asked for: all that the network may see.
+    pub gel: Rect,
     /// Millimetres on the gel for a pixel of the picture: the sensor's, or what was assumed.
     pub mm_per_pixel: f32,
     /// How a GPU stored maps and weights: f32 also where [`Config::precision`] says f16, but the picture

@@ -158,6 +158,7 @@ impl Input {
             detections,
             width,
             height,
+            gel: self.view.part,
             mm_per_pixel: self.view.mm_per_pixel,
             precision: Precision::F32,
             contact: None,

@@ -635,6 +635,7 @@ mod tests {
             detections: vec![detection],
             width: 640,
             height: 480,
+            gel: Rect { x: 80, y: 0, width: 480, height: 480 },
             mm_per_pixel: 0.0625,
             precision: Precision::F16,
             contact: Some(true),
@@ -653,7 +654,8 @@ mod tests {
                 "box": [1.0, 2.5, 3.0, 4.0], "center_mm": [-0.5, 0.25],
                 "center_std_mm": [0.125, 0.0625], "yaw_deg": null, "yaw_std_deg": null, "whole": 0.5
             }],
-            "width": 640, "height": 480, "mm_per_pixel": 0.0625, "precision": "f16", "proposals": 7,
+            "width": 640, "height": 480, "gel": {"x": 80, "y": 0, "width": 480, "height": 480},
+            "mm_per_pixel": 0.0625, "precision": "f16", "proposals": 7,
             "contact": true, "regions": [{"x": 1, "y": 2, "width": 3, "height": 4}],
             "without_deepest": true, "looked_again": false, "reused": false,
             "stages": [{"stage": "input", "ms": 1.5}],

@@ -2,6 +2,7 @@
 
 use crate::detector::Detections;
 use crate::error::{Error, Result};
+use crate::frame::Rect;
 use crate::model::Wanted;
 
 /// Height and width of the paper's input.
@@ -79,12 +80,9 @@ impl Scene {
         }
         let mut left = Vec::new();
         if let Some(regions) = &found.regions {
-            let area = |width, height| f64::from(width) * f64::from(height);
-            let seen: f64 = regions.iter().map(|r| area(r.width, r.height)).sum();
-            // Parts may overlap.
-            let share = (1.0 - seen / area(found.width, found.height)).max(0.0);
+            let share = 1.0 - area(regions) / area(&[found.gel]);
             let margin = self.margin_mm;
-            left.push(format!("{share:.2} of the frame: no contact within {margin} mm of it"));
+            left.push(format!("{share:.2} of the gel: no contact within {margin} mm of it"));
         }
         if self.proposals && !found.looked_again {
             let most = self.most_proposals;
@@ -146,6 +144,27 @@ impl Scene {
     }
 }
 
+/// Pixels that some of `parts` cover.
+fn area(parts: &[Rect]) -> f64 {
+    // Between the columns where a part begins or ends all rows are alike.
+    let mut columns: Vec<u32> =
+        parts.iter().flat_map(|part| [part.x, part.x + part.width]).collect();
+    columns.sort_unstable();
+    let strips = columns.windows(2).map(|ends| {
+        let across = |part: &&Rect| part.x <= ends[0] && ends[1] <= part.x + part.width;
+        let mut rows: Vec<[u32; 2]> =
+            parts.iter().filter(across).map(|part| [part.y, part.y + part.height]).collect();
+        rows.sort_unstable();
+        let (mut covered, mut end) = (0, 0);
+        for [from, to] in rows {
+            covered += to.saturating_sub(from.max(end));
+            end = end.max(to);
+        }
+        f64::from(ends[1] - ends[0]) * f64::from(covered)
+    });
+    strips.sum()
+}
+
 impl Default for Scene {
     /// What lost none of 2003 labelled snaps with any weights so far: `contact` and `regions`. `scales` beside
     /// them lost one, `proposals` with earlier weights five, and are for those who ask.
@@ -181,6 +200,17 @@ mod tests {
         ] {
             assert_eq!(less.least_score(0.5), 0.25, "{less:?}");
         }
+    }
+
+    #[test]
+    fn what_parts_cover_counts_once() {
+        let rect = |x, y, width, height| Rect { x, y, width, height };
+        assert_eq!(area(&[]), 0.0);
+        assert_eq!(area(&[rect(3, 5, 4, 2)]), 8.0);
+        // A common corner of 2 × 3, one inside another, and one apart in the same columns.
+        let parts = [rect(0, 0, 10, 10), rect(8, 7, 10, 10), rect(2, 2, 3, 3), rect(0, 20, 10, 1)];
+        assert_eq!(area(&parts), 100.0 + 100.0 - 6.0 + 10.0);
+        assert_eq!(area(&[rect(0, 0, 2, 2), rect(2, 0, 2, 2), rect(0, 0, 2, 2)]), 8.0);
     }
 
     #[test]

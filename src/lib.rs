@@ -3,7 +3,7 @@
 //! The crate implements SMR-Net (Hou, "SMR-Net: Robot Snap Detection Based on Multi-Scale Features
 //! and Self-Attention Network"): Faster R-CNN on a ResNet-34 with attention, multi-scale fusion and
 //! a learned weighting of the scales. Every operation, from resizing the picture to the last
-//! non-maximum suppression, is a WGSL compute shader; a picture takes one submit and one readback.
+//! non-maximum suppression, is a WGSL compute shader; each look of the network is one submit and one readback.
 //!
 //! ```no_run
 //! # #[cfg(feature = "picture")] {

@@ -94,27 +94,34 @@ impl<'a> Artist<'a> {
         &self,
         canvas: &mut RgbImage,
         detection: &Detection,
-        [x1, y1, _, y2]: [i32; 4],
+        corners: [i32; 4],
         letters: f32,
         colour: Rgb<u8>,
     ) {
         let text = format!("{} {:.2}", detection.class, detection.score);
         let (width, height) = text_size(letters, &self.font, &text);
         let pad = (letters / 5.0).ceil() as i32;
-        let (width, height) = (width as i32 + 2 * pad, height as i32 + 2 * pad);
-        let (most_x, most_y) = (canvas.width() as i32 - width, canvas.height() as i32 - height);
-        let above = y1 - height;
-        let y = if above >= 0 {
-            above
-        } else if y2 <= most_y {
-            y2
-        } else {
-            y1
-        };
-        let (x, y) = (x1.min(most_x).max(0), y.min(most_y).max(0));
-        fill(canvas, x, y, width, height, colour);
+        let size = [width as i32 + 2 * pad, height as i32 + 2 * pad];
+        let picture = [canvas.width() as i32, canvas.height() as i32];
+        let [x, y] = label_corner(corners, size, picture);
+        fill(canvas, x, y, size[0], size[1], colour);
         draw_text_mut(canvas, BLACK, x + pad, y + pad, letters, &self.font, &text);
     }
+}
+
+/// Upper left corner of a box's label: above the box, else below it, else on it; always in the picture, as far
+/// as that is large enough.
+fn label_corner([x1, y1, _, y2]: [i32; 4], size: [i32; 2], picture: [i32; 2]) -> [i32; 2] {
+    let [most_x, most_y] = [0, 1].map(|axis| picture[axis] - size[axis]);
+    let above = y1 - size[1];
+    let y = if above >= 0 {
+        above
+    } else if y2 <= most_y {
+        y2
+    } else {
+        y1
+    };
+    [x1.min(most_x).max(0), y.min(most_y).max(0)]
 }
 
 /// Halves the levels of what the network did not look at.
@@ -311,19 +318,26 @@ mod tests {
 
     #[test]
     fn labels_stay_in_the_picture_at_every_edge() {
+        let corner = |bbox| label_corner(bbox, [50, 12], [300, 300]);
+        // Above the box where there is room, else below it, else on it, and never past the right edge.
+        assert_eq!(corner([100, 100, 200, 200]), [100, 88]);
+        assert_eq!(corner([100, 12, 200, 200]), [100, 0]);
+        assert_eq!(corner([0, 11, 100, 100]), [0, 100]);
+        assert_eq!(corner([200, 0, 300, 288]), [200, 288]);
+        assert_eq!(corner([0, 0, 300, 300]), [0, 0]);
+        assert_eq!(corner([280, 295, 300, 300]), [250, 283]);
+        assert_eq!(corner([280, 5, 300, 300]), [250, 5]);
+        assert_eq!(corner([-20, -30, 10, 300]), [0, 0]);
+        // All of its ground is drawn there: as much as of one in the middle.
         let classes = ["A".to_owned(), "B".to_owned()];
         let artist = Artist::new(&classes);
-        let ground = DynamicImage::ImageRgb8(RgbImage::new(300, 300));
-        let whole = artist.draw(&ground, &[detection([100.0, 100.0, 200.0, 200.0])]);
-        let letters = whole.pixels().filter(|p| **p == COLOURS[1]).count();
-        for bbox in [[0.0, 0.0, 100.0, 100.0], [200.0, 0.0, 300.0, 100.0], [0.0, 0.0, 300.0, 300.0]]
-        {
-            let drawn = artist.draw(&ground, &[detection(bbox)]);
-            let edge = 2.0 * (bbox[2] - bbox[0] + bbox[3] - bbox[1]);
-            let shown = drawn.pixels().filter(|p| **p == COLOURS[1]).count();
-            // The label's ground is as large as in the middle, but for the frame's pixels.
-            assert!(shown as f32 + edge + 8.0 > letters as f32, "{bbox:?}: {shown} of {letters}");
-        }
+        let grounds = [[100, 100, 200, 200], [280, 0, 300, 300]].map(|corners| {
+            let mut canvas = RgbImage::from_pixel(300, 300, Rgb([90, 91, 92]));
+            let bbox = corners.map(|v| v as f32);
+            artist.label(&mut canvas, &detection(bbox), corners, 12.0, COLOURS[1]);
+            canvas.pixels().filter(|p| **p != Rgb([90, 91, 92])).count()
+        });
+        assert!(grounds[0] > 0 && grounds[0] == grounds[1], "{grounds:?}");
         // Pictures smaller than any label do not stop it.
         for (w, h) in [(1, 1), (1, 200), (200, 1)] {
             let tiny = DynamicImage::ImageRgb8(RgbImage::new(w, h));

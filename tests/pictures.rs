@@ -35,9 +35,13 @@ fn other_files_are_refused_by_name() {
         (b"hello", "got something else"),
         (b"GIF89a\x01\0\x01\0\0\0\0;", "got Gif"),
         (b"\x89PNG", "got something else"),
+        (b"RIFF\x1a\0\0\0WEBPVP8L", "got WebP"),
     ] {
         refused(bytes, "expected a PNG, JPEG, BMP or TIFF picture");
         refused(bytes, got);
+        // The first bytes of a stream say so too.
+        let error = picture::read_from(bytes).expect_err("no picture").to_string();
+        assert!(error.ends_with(got), "{error}");
     }
 }
 

@@ -41,8 +41,8 @@ pub fn has_ending(path: &Path) -> bool {
     ending.is_some_and(|e| ENDINGS.contains(&e.as_str()))
 }
 
-/// How many bytes show what a file is.
-pub const MAGIC: u64 = 8;
+/// How many bytes show what a file is: as many as it takes to name a WebP or an AVIF.
+pub const MAGIC: u64 = 12;
 
 /// A kind of picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

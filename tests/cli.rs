@@ -66,6 +66,8 @@ fn wrong_command_lines_are_usage_errors() {
         (&["eval", "--data", ".", "--limit", "0"], "--limit"),
         (&["eval", "--data", ".", "--limit", "4294967296"], "--limit"),
         (&["eval", "--data", ".", "--conf", "NaN"], "expected a number from 0 to 1"),
+        (&["eval", "--data", ".", "--conf", "-1"], "expected a number from 0 to 1"),
+        (&["compare", "x.png", "--conf", "-1"], "expected a number from 0 to 1"),
         (&["check", "--device", "reference"], "held to the reference"),
     ];
     for (arguments, phrase) in cases {
@@ -577,6 +579,10 @@ fn evaluation_counts_misses_and_names_unreadable_pictures() {
     let with_paper = [&arguments[..], &["--paper"]].concat();
     let report = &run(folder.path(), &with_paper).expect(1).json()[0];
     assert_eq!(report["classes"][0]["paper"]["mean_iou"], 0.9178);
+
+    let by_condition = ["eval", "--data", ".", "--device", "cpu", "--size", "32", "--by-condition"];
+    let ran = run(folder.path(), &by_condition).expect(1).tells("the labels state no conditions");
+    assert!(!ran.stdout.contains('|'), "{}", ran.stdout);
 
     // As a crowd the first is no snap to be found.
     let crowd = labels.to_string().replace("\"image_id\":7", "\"image_id\":7,\"iscrowd\":1");

@@ -31,6 +31,7 @@ pub(super) struct Args {
 
     /// Compare the detections with a score above this (0 to 1).
     #[arg(long, default_value_t = 0.5, value_name = "SCORE", value_parser = fraction)]
+    #[arg(allow_negative_numbers = true)]
     conf: f32,
 
     #[command(flatten)]

@@ -46,6 +46,7 @@ pub(super) struct Args {
     /// Best boxes, errors, their stated deviations and false alarms are of detections with a score above
     /// this (0 to 1). Average precision and the calibration of scores look at all above 0.05.
     #[arg(long, default_value_t = 0.5, value_name = "SCORE", value_parser = fraction)]
+    #[arg(allow_negative_numbers = true)]
     conf: f32,
 
     /// Look at the N pictures with the lowest ids alone, of each folder.

@@ -59,8 +59,12 @@ pub(super) fn set_row(
     row(&report.data, widest, &report.all.figures)
 }
 
-/// Prints the table by condition.
+/// Prints the table by condition, if there are any.
 pub(super) fn conditions(report: &Report) -> Result<(), Failure> {
+    if report.conditions.is_empty() {
+        tell("--by-condition: the labels state no conditions");
+        return Ok(());
+    }
     let name = |condition: &str, value: &str| format!("{condition}: {value}");
     let names = report.conditions.iter().map(|s| name(s.condition, s.value.as_str()));
     let widest = names.map(|n| n.chars().count()).max().unwrap_or(0).max(9);

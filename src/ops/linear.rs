@@ -15,8 +15,8 @@ use crate::tensor::{Tensor, Value};
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "linear",
-    takes: "input [N, K] or [K], weight [O, K], bias [O]; optional: count u32 [1]",
-    gives: "output [N, O] or [O]",
+    takes: "input [R, …] or [K], weight [O, K], bias [O]; optional: count u32 [1]",
+    gives: "output [R, O] or [O]",
     params: &[Param::optional("relu", "false", Range::Flag)],
     build,
     cases,
@@ -63,7 +63,7 @@ impl Op for Linear {
         let name = self.name();
         let [outputs, inner] = dims(name, "weight", &inputs[1], DType::F32)?;
         let shape = &inputs[0].shape;
-        let fits = shape.elements() == rows(shape) * inner;
+        let fits = shape.rank() > 0 && shape.elements() == rows(shape) * inner;
         if !fits || shape.elements() == 0 || outputs == 0 || inputs[0].dtype != DType::F32 {
             let expected =
                 format!("f32 [{inner}], or [R, …] with {inner} elements a row, none zero");

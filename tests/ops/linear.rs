@@ -1,4 +1,4 @@
-use crate::support::{check_op, recording_error};
+use crate::support::{check_op, recording_error, refusal};
 use smr_gpu::ops::{Linear, Op};
 use smr_gpu::shape::TensorSpec;
 
@@ -20,6 +20,9 @@ fn refuses_what_does_not_fit() {
     assert!(message.contains("`input`") && message.contains("6 elements a row"), "{message}");
     let message = text(specs(&[5], 2, 1));
     assert!(message.contains("`input`") && message.contains("f32 [6], or [R, …]"), "{message}");
+    let scalar = [TensorSpec::f32([]), TensorSpec::f32([2, 1]), TensorSpec::f32([2])];
+    let message = refusal(&Linear::default(), &scalar);
+    assert!(message.contains("`input`") && message.contains("f32 [1], or [R, …]"), "{message}");
     let message = text(specs(&[4, 2, 3], 3, 1));
     assert!(message.contains("`bias`") && message.contains("f32[2]"), "{message}");
     let message = text(specs(&[4, 2, 3], 2, 3));

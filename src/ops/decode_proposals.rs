@@ -91,6 +91,9 @@ impl Op for DecodeProposals {
             return Err(Error::tensor(name, "deltas", expected, &inputs[0]));
         }
         let [k] = dims(name, "scores", &inputs[1], DType::F32)?;
+        if k == 0 {
+            return Err(Error::tensor(name, "scores", "f32 [K] without a zero", &inputs[1]));
+        }
         expect(name, "indices", &TensorSpec::u32([k]), &inputs[2])?;
         expect_count(name, Some(&inputs[3]))?;
         Ok(vec![TensorSpec::f32([k, 4]), TensorSpec::f32([k])])

@@ -1,4 +1,4 @@
-use crate::support::check_op;
+use crate::support::{check_op, refusal};
 use smr_gpu::ops::{self, DecodeProposals, Op, Params};
 use smr_gpu::shape::TensorSpec;
 
@@ -19,6 +19,10 @@ fn refuses_what_does_not_fit() {
     assert!(message.contains("`deltas`") && message.contains("[4, H, W]"), "{message}");
     let message = one.infer(&specs(4, 6)).expect_err("indices").to_string();
     assert!(message.contains("`indices`") && message.contains("u32[7]"), "{message}");
+    let none = [TensorSpec::f32([4, 3, 5]), TensorSpec::f32([0]), TensorSpec::u32([0])];
+    let none = [none.as_slice(), &[TensorSpec::u32([1])]].concat();
+    let message = refusal(&one, &none);
+    assert!(message.contains("`scores`: expected f32 [K] without a zero"), "{message}");
     let message = op(vec![]).infer(&specs(0, 7)).expect_err("no anchors").to_string();
     assert!(message.contains("`anchors`") && message.contains("at least one"), "{message}");
 }

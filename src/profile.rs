@@ -208,3 +208,29 @@ pub fn roof(gpu: &Arc<Gpu>, runs: usize) -> Result<Roof> {
     }
     Ok(Roof { multiply_adds: roof::MULTIPLY_ADDS / best[0], bytes: roof::BYTES / best[1] })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::GpuOptions;
+    use crate::ops::Conv2d;
+    use crate::tensor::Tensor;
+
+    /// A map on its way to a texture: to quads, the copy, the products.
+    #[test]
+    fn a_copy_takes_time() {
+        let gpu = pollster::block_on(Gpu::open(GpuOptions::default())).expect("an adapter");
+        let mut graph = Graph::default();
+        let input = graph.input("input", TensorSpec::f32([64, 64, 64]), Extent::Exact);
+        let weight = graph.constant("weight", Tensor::from_fn([16, 64, 1, 1], |i| i as f32));
+        let op = Conv2d { bias: false, ..Conv2d::default() };
+        let output = graph.apply1("conv", op, &[input, weight]).expect("a map");
+        graph.mark_output(output);
+        let value = Value::from(Tensor::<f32>::zeros([64, 64, 64]));
+        let how = (&Choice::force("conv2d/alone").expect("a kernel"), Precision::F32);
+        let times = commands(&gpu, &graph, &[(input, &value)], how, 2).expect("times");
+        assert!(times.iter().any(|time| time.what == "copy"), "{times:?}");
+        let none: Vec<_> = times.iter().filter(|time| time.time.is_zero()).collect();
+        assert!(none.is_empty(), "{none:?}");
+    }
+}

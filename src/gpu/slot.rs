@@ -452,11 +452,6 @@ impl Slot {
             }
             let passes: Vec<usize> = (0..runs.len()).filter(|r| !is_copy(runs[*r].start)).collect();
             for (r, run) in runs.iter().enumerate() {
-                if let Step::Copy { from, to, width, height, row_bytes } = &program.steps[run.start]
-                {
-                    self.copy(&mut encoder, (*from, *to), (*width, *height), *row_bytes);
-                    continue;
-                }
                 let (first, last) = match program.options.profile {
                     Profile::Off => (None, None),
                     Profile::Commands => {
@@ -469,16 +464,20 @@ impl Slot {
                         (ends(passes.first()).then_some(at), ends(passes.last()).then_some(at + 1))
                     }
                 };
-                let timed = self.timestamps.as_ref().filter(|_| first.is_some() || last.is_some());
-                let writes = timed.map(|t| wgpu::ComputePassTimestampWrites {
-                    query_set: &t.set,
-                    beginning_of_pass_write_index: first,
-                    end_of_pass_write_index: last,
-                });
-                let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                    label: None,
-                    timestamp_writes: writes,
-                });
+                if let Step::Copy { from, to, width, height, row_bytes } = &program.steps[run.start]
+                {
+                    // Not every adapter has timestamps between passes: those of a copy are written by an
+                    // empty one before it, and one behind it.
+                    if apart {
+                        self.begin_pass(&mut encoder, first, None);
+                    }
+                    self.copy(&mut encoder, (*from, *to), (*width, *height), *row_bytes);
+                    if apart {
+                        self.begin_pass(&mut encoder, None, last);
+                    }
+                    continue;
+                }
+                let mut pass = self.begin_pass(&mut encoder, first, last);
                 for at in run.clone() {
                     self.dispatch(&mut pass, at);
                 }
@@ -486,6 +485,24 @@ impl Slot {
         }
         self.read_back(&mut encoder, staging);
         encoder.finish()
+    }
+
+    /// Begins a pass that writes these timestamps.
+    fn begin_pass<'a>(
+        &self,
+        encoder: &'a mut wgpu::CommandEncoder,
+        first: Option<u32>,
+        last: Option<u32>,
+    ) -> wgpu::ComputePass<'a> {
+        let timed = self.timestamps.as_ref().filter(|_| first.is_some() || last.is_some());
+        encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: None,
+            timestamp_writes: timed.map(|t| wgpu::ComputePassTimestampWrites {
+                query_set: &t.set,
+                beginning_of_pass_write_index: first,
+                end_of_pass_write_index: last,
+            }),
+        })
     }
 
     fn dispatch(&self, pass: &mut wgpu::ComputePass, at: usize) {

@@ -47,8 +47,8 @@ pub struct Quads {
 impl Quads {
     /// The arrangement of a map for `batch` pictures in a program that stores maps in `precision`, also of those
     /// that it stores in f32: kernels write a map where another of its size lies. `None` for what is no map
-    /// `[C, H, W]`, is too large for the adapter's textures however it is arranged, or has more rows of
-    /// quads than a dimension of a grid has workgroups.
+    /// `[C, H, W]`, is too large for the adapter's buffers, or for its textures however it is arranged, or has
+    /// more rows of quads than a dimension of a grid has workgroups.
     pub fn of(spec: &TensorSpec, precision: Precision, batch: u32, caps: &Caps) -> Option<Self> {
         let [channels, height, width] = <[usize; 3]>::try_from(spec.shape.0.as_slice()).ok()?;
         let [channels, height, width] =
@@ -64,7 +64,13 @@ impl Quads {
             && u64::from(quads) * u64::from(height) <= u64::from(MAX_WORKGROUPS)
             && width > 0;
         let rows = quads.div_ceil(columns) * height;
-        fits.then_some(Self { width, height, quads, pitch, columns, rows, zero: 0, channels })
+        let found = Self { width, height, quads, pitch, columns, rows, zero: 0, channels };
+        (fits && found.most_bytes(batch) <= caps.buffer_bytes).then_some(found)
+    }
+
+    /// Bytes of a buffer for `batch` pictures in f32, which f16 takes half of.
+    pub fn most_bytes(&self, batch: u32) -> u64 {
+        self.texels() * u64::from(Precision::F32.texel_bytes()) * u64::from(batch)
     }
 
     /// Width of the texture.
@@ -117,6 +123,19 @@ mod tests {
         assert_eq!(other(TensorSpec::f32([10, 5]), 64), None);
         let rows = |quads: usize| other(TensorSpec::f32([4 * quads, 1, 1]), 8192);
         assert!(rows(65_535).is_some() && rows(65_536).is_none(), "a grid's longest side");
+    }
+
+    /// 2 × 15 rows of 32 texels: 15 360 bytes in f32, in which a program of f16 stores some maps too.
+    #[test]
+    fn all_pictures_fit_a_buffer() {
+        let spec = TensorSpec::f32([10, 5, 20]);
+        for precision in [Precision::F32, Precision::F16] {
+            let of = |buffer_bytes| {
+                let caps = Caps { buffer_bytes, ..Caps::default() };
+                Quads::of(&spec, precision, 2, &caps)
+            };
+            assert!(of(15_360).is_some() && of(15_359).is_none(), "{precision}");
+        }
     }
 
     /// A row of 20 texels of 8 bytes fills one of 256 bytes, one of 33 two.

@@ -108,9 +108,14 @@ impl<'a> Work<'a> {
         any.downcast_ref().ok_or_else(wrong)
     }
 
-    /// Whether a map of this shape can lie as [`Layout::Quads`] and [`Layout::Texture`].
+    /// Where the channels of a map of this shape lie as [`Layout::Quads`] and [`Layout::Texture`], if they can.
+    pub fn quads(&self, spec: &TensorSpec) -> Option<Quads> {
+        Quads::of(spec, self.precision, self.batch, self.caps)
+    }
+
+    /// Whether a map of this shape can lie so.
     pub fn has_quads(&self, spec: &TensorSpec) -> bool {
-        Quads::of(spec, self.precision, self.batch, self.caps).is_some()
+        self.quads(spec).is_some()
     }
 }
 

@@ -1,5 +1,8 @@
 use crate::support::{check_op, refusal};
-use smr_gpu::ops::MaxPool2d;
+use smr_gpu::Precision;
+use smr_gpu::kernels::{Caps, Work};
+use smr_gpu::lower::Choice;
+use smr_gpu::ops::{MaxPool2d, Op};
 use smr_gpu::shape::TensorSpec;
 
 #[test]
@@ -22,4 +25,24 @@ fn refuses_what_does_not_fit() {
     assert!(message.contains("`padding`: expected at most half the kernel (1)"), "{message}");
     let message = with(5, 1, 0);
     assert!(message.contains("`input`: expected at least the kernel (5)"), "{message}");
+}
+
+/// One channel takes four times as much in quads: 144 MB, which no default buffer holds.
+#[test]
+fn a_map_whose_quads_fit_no_buffer_is_pooled_planar() {
+    let op = MaxPool2d { kernel: 3, stride: 2, padding: 1 };
+    for (edge, kernel) in [(3000, "max_pool2d/planar"), (2800, "max_pool2d/quads")] {
+        let inputs = [TensorSpec::f32([1, edge, edge])];
+        let work = Work {
+            node: 0,
+            op: &op,
+            inputs: &inputs,
+            known: &[false],
+            outputs: &op.infer(&inputs).expect("a map"),
+            batch: 1,
+            precision: Precision::F32,
+            caps: &Caps::default(),
+        };
+        assert_eq!(Choice::default().kernel(&work).expect("a kernel").id(), kernel, "{edge}");
+    }
 }

@@ -325,9 +325,11 @@ impl Direct {
     fn plan(&self, work: &Work) -> Option<Plan> {
         let op: &Conv2d = work.op().ok()?;
         let plan = Plan::of(op, Sizes::of(op, work), self.0, work)?;
+        // Each part of a split sum is a map like the output.
+        let parts = work.quads(&work.outputs[0])?.most_bytes(work.batch) * u64::from(plan.splits());
         let fits = weights_known(op, work.known)
             && work.has_quads(&work.inputs[0])
-            && work.has_quads(&work.outputs[0])
+            && parts <= work.caps.buffer_bytes
             && (plan.splits() > 1) == self.is_split();
         fits.then_some(plan)
     }
@@ -538,6 +540,27 @@ mod tests {
         assert_eq!(of(3, 2, 2, 64), form(Taps::One, 1, 4));
         assert_eq!(of(7, 2, 1, 3), form(Taps::One, 1, 1));
         assert_eq!(of(1, 2, 1, 64), form(Taps::One, 1, 8));
+    }
+
+    /// 64 channels of a pixel lie in 16 × 16 texels, 4096 bytes. To as many they are summed in two parts.
+    #[test]
+    fn all_parts_fit_a_buffer() {
+        let fits = |manner, buffer_bytes| {
+            let caps = Caps { subgroup: Some(32), buffer_bytes, ..Caps::default() };
+            let inputs = [TensorSpec::f32([64, 1, 1]), TensorSpec::f32([64, 64, 1, 1])];
+            Direct(manner).fits(&Work {
+                node: 0,
+                op: &Conv2d { bias: false, ..Conv2d::default() },
+                inputs: &inputs,
+                known: &[false, true],
+                outputs: &[TensorSpec::f32([64, 1, 1])],
+                batch: 1,
+                precision: Precision::F32,
+                caps: &caps,
+            })
+        };
+        assert!(fits(Manner::Split, 8192) && !fits(Manner::Split, 8191));
+        assert!(fits(Manner::Whole, 4096) && !fits(Manner::Whole, 4095));
     }
 
     /// Cut into parts, a sum is no deeper than whole.

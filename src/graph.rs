@@ -102,7 +102,8 @@ impl Graph {
         self.push(name, spec, Source::Input(extent))
     }
 
-    /// A tensor that is known now, such as weights.
+    /// A tensor that is known now, such as weights. What is made of it is shared by its name, which is to be its
+    /// own.
     pub fn constant(&mut self, name: impl Into<String>, value: impl Into<Constant>) -> TensorId {
         let constant = value.into();
         let spec = constant.spec().clone();
@@ -117,7 +118,7 @@ impl Graph {
     /// Applies `op`; its outputs are called `name` if there is one, else `name.output`.
     ///
     /// # Errors
-    /// What [`Op::infer`] returns.
+    /// What [`Op::infer`] returns; [`Error::Tensor`] for a constant of another's name.
     pub fn apply(
         &mut self,
         name: &str,
@@ -139,6 +140,7 @@ impl Graph {
     ) -> Result<Vec<TensorId>> {
         let specs: Vec<_> = inputs.iter().map(|id| self.spec(*id).clone()).collect();
         let out_specs = op.infer(&specs)?;
+        inputs.iter().try_for_each(|id| self.check_name(op.name(), *id))?;
         let names = op.outputs();
         let single = names.len() == 1;
         let outputs: Vec<_> = out_specs
@@ -159,6 +161,19 @@ impl Graph {
             stage: self.stages.len() - 1,
         });
         Ok(outputs)
+    }
+
+    /// Checks that a constant has a name of its own.
+    fn check_name(&self, op: &str, id: TensorId) -> Result<()> {
+        let constants = self.tensors.iter().enumerate();
+        let constants = constants.filter(|(_, t)| matches!(t.source, Source::Constant { .. }));
+        let alike = constants.filter(|(_, tensor)| tensor.name == self.name(id));
+        let places: Vec<usize> = alike.map(|(place, _)| place).collect();
+        if places.len() > 1 && places.contains(&id.0) {
+            let got = format!("{} of this name", places.len());
+            return Err(Error::tensor(op, self.name(id), "one constant of this name", got));
+        }
+        Ok(())
     }
 
     /// [`Graph::apply`] for an operation with one output.
@@ -390,5 +405,31 @@ impl Graph {
     /// Every tensor that a node computes, in order.
     pub fn computed(&self) -> Vec<TensorId> {
         self.nodes.iter().flat_map(|n| n.outputs.iter().copied()).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ops::Conv2d;
+    use crate::tensor::Tensor;
+
+    /// What the first's weights were packed to would serve for the second's.
+    #[test]
+    fn constants_of_one_name_are_refused() {
+        let mut graph = Graph::default();
+        let op = Conv2d { bias: false, ..Conv2d::default() };
+        let input = graph.input("weight", TensorSpec::f32([1, 2, 2]), Extent::Exact);
+        let weights =
+            [1.0, 2.0].map(|x| graph.constant("weight", Tensor::from_fn([1, 1, 1, 1], |_| x)));
+        for weight in weights {
+            let message = graph.apply("conv", op, &[input, weight]).expect_err("one name");
+            let message = message.to_string();
+            assert!(message.contains("`weight`: expected one constant"), "{message}");
+        }
+        graph.rename(weights[1], "other");
+        for weight in weights {
+            graph.apply("conv", op, &[input, weight]).expect("names of their own");
+        }
     }
 }

@@ -161,6 +161,70 @@ fn no_tensors_replace_an_input() {
     image::open(path("drawn/x.png")).expect("the drawn picture");
 }
 
+/// What a command reads besides pictures: weights, a sensor's file and its reference frame, a table, and
+/// labels.
+#[test]
+fn nothing_that_is_read_is_replaced() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name);
+    for name in ["x.png", "bg.png", "worst-set.png"] {
+        ramp(8, 8).save(path(name)).expect("saved");
+    }
+    fs::create_dir(path("d")).expect("created");
+    fs::copy(path("bg.png"), path("d/bg.png")).expect("copied");
+    fs::write(path("s.json"), r#"{ "name": "s", "reference": "bg.png" }"#).expect("written");
+    fs::copy(WEIGHTS, path("w.safetensors")).expect("copied");
+    let setup =
+        r#"{ "weights": "w.safetensors", "size": 32, "device": "cpu", "kernels": [], "batch": 1 }"#;
+    let digest = smr_gpu::tradeoff::digest(&fs::read(WEIGHTS).expect("the weights"));
+    let table = format!(
+        r#"{{ "place": null, "weights": [["w.safetensors", "{digest}"]], "pictures": 1, "stopped": false,
+            "base": {setup}, "rows": [{{ "setup": {setup}, "wall_ms": {ONE}, "device_ms": null,
+            "peak_bytes": null, "stages": [], "shift": {{ "mm": {ONE}, "score": null, "boxes": 1,
+            "lost": 0, "gained": 0 }}, "quality": null }}] }}"#
+    );
+    fs::write(path("t.json"), table).expect("written");
+    // Labels of a picture whose name is one of an output.
+    fs::create_dir(path("set")).expect("created");
+    for name in ["set/tradeoff.png", "set/worst-set.png"] {
+        ramp(8, 8).save(path(name)).expect("saved");
+    }
+    let annotations = r#"{ "categories": [{ "id": 1, "name": "A" }, { "id": 2, "name": "B" }], "images": [
+        { "id": 1, "file_name": "tradeoff.png", "width": 8, "height": 8 },
+        { "id": 2, "file_name": "worst-set.png", "width": 8, "height": 8 }], "annotations": [
+        { "id": 1, "image_id": 1, "category_id": 1, "bbox": [0, 0, 4, 4], "area": 16, "iscrowd": 0 },
+        { "id": 2, "image_id": 2, "category_id": 1, "bbox": [0, 0, 4, 4], "area": 16, "iscrowd": 0 }] }"#;
+    fs::write(path("set/annotations.json"), annotations).expect("written");
+    let before = contents(folder.path());
+
+    for (arguments, file) in [
+        ("detect x.png --size 32 --device cpu --sensor s.json --dump-stages s.json", "s.json"),
+        ("detect x.png --size 32 --device cpu --sensor s.json --dump-stages bg.png", "bg.png"),
+        ("detect x.png --tradeoff t.json --max-shift-mm 9 --dump-stages t.json", "t.json"),
+        ("tune --seconds 1 --size 32 --weights w.safetensors --out w.safetensors", "w.safetensors"),
+        ("tune --seconds 1 --size 32 --sensor s.json --out s.json", "s.json"),
+        ("tradeoff --sizes 32 --device cpu --limit 1 --data set --out set", "set/tradeoff.png"),
+    ] {
+        let ran = run(folder.path(), &arguments.split(' ').collect::<Vec<_>>());
+        ran.expect(2).tells(&format!("{file}: expected a file that is no input"));
+    }
+    assert!(contents(folder.path()) == before);
+
+    // Where a picture is drawn, it gets a number.
+    let numbered = |arguments: &str, name: &str| {
+        run(folder.path(), &arguments.split(' ').collect::<Vec<_>>()).expect(0);
+        fs::remove_file(path(name)).expect(name);
+        assert!(contents(folder.path()) == before, "{arguments}");
+    };
+    numbered("detect d/bg.png --size 32 --device cpu --sensor s.json --save .", "bg-2.png");
+    let eval = "eval --size 32 --device cpu --data set --limit 1 --save set";
+    numbered(eval, "set/worst-set-2.png");
+    numbered(&format!("{eval} --sensor s.json"), "set/worst-set-2.png");
+}
+
+/// A spread of a table.
+const ONE: &str = r#"{ "median": 1, "percentile_95": 1, "worst": 1 }"#;
+
 #[test]
 fn a_full_disk_leaves_no_part_of_a_file() {
     let folder = folder();

@@ -10,7 +10,7 @@ use smr_gpu::detector::Stages;
 use smr_gpu::files::Outputs;
 use smr_gpu::graph::StageTime;
 use smr_gpu::tradeoff::Limit;
-use smr_gpu::{Detection, Detections, Frame, GpuDetector, Precision, Rect, WeightSource};
+use smr_gpu::{Detection, Detections, Frame, GpuDetector, Precision, Rect};
 
 use super::detector::{self, Assumed, DetectorArgs, fraction};
 use super::draw::{Artist, Gallery};
@@ -132,9 +132,8 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         // Where this is a file, it is as much an input.
         Source::Stdin => Path::new("/dev/stdin"),
     }));
-    if let WeightSource::File(weights) = &config.weights {
-        outputs.spare(weights);
-    }
+    args.detector.network.spare(&mut outputs, &config);
+    args.tradeoff.iter().for_each(|table| outputs.spare(table));
     if let Some(file) = &args.dump_stages {
         outputs.check(file)?;
     }

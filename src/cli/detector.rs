@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use smr_gpu::files::Outputs;
 use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions};
 use smr_gpu::model::ModelConfig;
 use smr_gpu::{
     Config, Detections, Device, Error, Frame, GpuDetector, PixelFormat, Precision, Scene, Sensor,
-    picture,
+    WeightSource, picture,
 };
 
 use super::exit::{Exit, Failure};
@@ -60,8 +61,8 @@ pub(super) struct NetworkArgs {
 
     /// The sensor that took the pictures: `paper`, `gelsight-mini`, `plain` (all gel, 40 mm along the
     /// shorter side), or a sensor file (JSON) [default: the paper's, or what looks like it].
-    #[arg(long, value_name = "NAME|FILE", value_parser = sensor)]
-    sensor: Option<Sensor>,
+    #[arg(long, value_name = "NAME|FILE", value_parser = given)]
+    sensor: Option<Given>,
 
     /// Millimetres of gel that a pixel of the pictures shows, whatever --sensor says of its own frames;
     /// without --sensor the pictures are gel all over.
@@ -83,6 +84,13 @@ pub(super) struct NetworkArgs {
     #[arg(long, default_value = "120", value_name = "SECONDS", value_parser = seconds)]
     #[arg(allow_negative_numbers = true)]
     timeout: Duration,
+}
+
+/// A sensor that an option names, with its file if it has one.
+#[derive(Clone, Debug)]
+struct Given {
+    sensor: Sensor,
+    file: Option<PathBuf>,
 }
 
 /// A network, what it may leave out, and where it runs.
@@ -144,6 +152,11 @@ pub(super) fn sensor(text: &str) -> Result<Sensor, String> {
     }
 }
 
+fn given(text: &str) -> Result<Given, String> {
+    let file = Sensor::named(text).is_none().then(|| text.into());
+    Ok(Given { sensor: sensor(text)?, file })
+}
+
 /// Parses a side of the network's input.
 ///
 /// # Errors
@@ -186,6 +199,17 @@ impl NetworkArgs {
         self.sensor.is_some() || self.mm_per_pixel.is_some()
     }
 
+    /// Spares what a configuration of these options is read from: the weights, the sensor's file and its
+    /// reference frame.
+    pub fn spare(&self, outputs: &mut Outputs, config: &Config) {
+        if let WeightSource::File(weights) = &config.weights {
+            outputs.spare(weights);
+        }
+        if let Some(Given { sensor, file }) = &self.sensor {
+            file.iter().chain(&sensor.reference).for_each(|file| outputs.spare(file));
+        }
+    }
+
     /// The library's configuration for these options, on whatever device.
     ///
     /// # Errors
@@ -195,7 +219,7 @@ impl NetworkArgs {
         let mut config = Config::new(weight_file(self.weights.as_deref())?);
         config.iou = self.iou;
         config.input_size = self.size;
-        config.sensor = self.sensor.clone();
+        config.sensor = self.sensor.as_ref().map(|given| given.sensor.clone());
         if let Some(scale) = self.mm_per_pixel {
             let checked = Sensor::of_scale(scale).check();
             checked.map_err(|e| Failure::usage(format!("--mm-per-pixel: {e}")))?;

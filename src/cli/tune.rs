@@ -42,6 +42,8 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let mut config = args.network.config(Scene::FULL)?;
     let adapter = args.device.choice()?;
     let gpu = pollster::block_on(Gpu::open(GpuOptions { adapter, ..GpuOptions::default() }))?;
+    let mut files = Outputs::default();
+    args.network.spare(&mut files, &config);
     config.device = Device::Reference;
     let detector = GpuDetector::new(config)?;
     let path = match args.out {
@@ -56,7 +58,6 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             folder.join(Place::of(&gpu).file_name())
         }
     };
-    let mut files = Outputs::default();
     files.check(&path)?;
     let style = ProgressStyle::with_template("{bar:40} {pos} of {len} kernels a layer {elapsed}");
     let bar = ProgressBar::new(0).with_style(style.unwrap_or(ProgressStyle::default_bar()));

@@ -162,20 +162,17 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     // What is left out, and when it is looked at again, is as in `detect`.
     config.counts_above = Some(args.conf);
     let nms_iou = config.iou;
+    let mut outputs = Outputs::default();
+    args.detector.network.spare(&mut outputs, &config);
     let detector = detector::open(config)?;
     let classes = detector.model().classes.clone();
     // All labels first: a mistake in the last folder's costs no hour.
     let labels = args.data.iter().map(|folder| {
-        let mut pictures = read_labels(folder, &classes)?;
+        let mut pictures = read_labels(folder, &classes, &mut outputs)?;
         pictures.truncate(args.limit.map_or(usize::MAX, |n| n as usize));
         Ok((folder.display().to_string(), pictures))
     });
     let labels = labels.collect::<Result<Vec<_>, Failure>>()?;
-    let pictures = labels.iter().flat_map(|(_, pictures)| pictures);
-    let mut outputs = Outputs::sparing(pictures.filter_map(|l| match &l.source {
-        Source::File(path) => Some(path),
-        Source::Stdin => None,
-    }));
     let mut gallery = args.save.as_deref().map(Gallery::create).transpose()?;
 
     let several = labels.len() > 1;
@@ -306,9 +303,15 @@ fn style() -> ProgressStyle {
         .unwrap_or_else(|_| ProgressStyle::default_bar())
 }
 
-/// The pictures of a folder, by their ids, with what they show of the weights' `classes`.
-pub(super) fn read_labels(folder: &Path, classes: &[String]) -> Result<Vec<Labelled>, Failure> {
+/// The pictures of a folder, by their ids, with what they show of the weights' `classes`; `outputs` spare
+/// them and their annotations.
+pub(super) fn read_labels(
+    folder: &Path,
+    classes: &[String],
+    outputs: &mut Outputs,
+) -> Result<Vec<Labelled>, Failure> {
     let file = folder.join("annotations.json");
+    outputs.spare(&file);
     let failed =
         |message: String| Failure::new(Exit::Inputs, format!("{}: {message}", file.display()));
     let bytes = files::read(&file, MAX_ANNOTATIONS).map_err(|e| failed(e.to_string()))?;
@@ -332,6 +335,7 @@ pub(super) fn read_labels(folder: &Path, classes: &[String]) -> Result<Vec<Label
         }
         let direct = folder.join(&picture.file);
         let path = if direct.exists() { direct } else { folder.join("images").join(&picture.file) };
+        outputs.spare(&path);
         // One file may have two names; where there is none, reading tells.
         if let Ok(one) = path.canonicalize()
             && let Some(other) = image_of.insert(one, picture.id)

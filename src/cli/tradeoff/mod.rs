@@ -94,18 +94,17 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         |e: std::io::Error| Failure::new(Exit::Output, format!("{}: {e}", args.out.display()));
     std::fs::create_dir_all(&args.out).map_err(failed)?;
     let file = |extension: &str| args.out.join(format!("tradeoff.{extension}"));
-    let mut outputs = Outputs::default();
     let extensions = ["json", "csv", "md", "png", "svg"];
-    outputs.check_all(extensions.map(file))?;
-
     let weights = setups::weights(&args.weights)?;
+    let mut outputs = Outputs::sparing(weights.iter().map(|(_, file, _)| file));
     let gpu = match &args.device {
         Device::Auto => open_gpu(&"gpu".parse::<Device>()?).ok().flatten(),
         device => open_gpu(device)?,
     };
     let gpu = gpu.map(|gpu| (gpu, args.device.clone()));
     let classes = classes_of(&weights[0].1)?;
-    let mut pictures = read_labels(&args.data, &classes)?;
+    let mut pictures = read_labels(&args.data, &classes, &mut outputs)?;
+    outputs.check_all(extensions.map(file))?;
     pictures.truncate(args.limit as usize);
 
     let stopped = Arc::new(AtomicBool::new(false));

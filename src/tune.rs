@@ -81,6 +81,14 @@ impl Tuned {
         }
     }
 
+    /// With what `earlier` says of shapes that this does not name: those of another network, or of another
+    /// size of its input.
+    pub fn beside(mut self, earlier: Self) -> Self {
+        let own = std::mem::replace(&mut self.choice.by_shape, earlier.choice.by_shape);
+        self.choice.by_shape.extend(own);
+        self
+    }
+
     /// The file's text.
     pub fn to_json(&self) -> String {
         // A map of texts always is.
@@ -88,8 +96,8 @@ impl Tuned {
     }
 }
 
-/// Measures which kernels are fastest for `graph` on `gpu`, for at most about `limit`. `progress` hears
-/// of each kernel's turn: how many there were, and are.
+/// Measures which kernels are fastest for `graph` on `gpu`, stored in `precision`, for at most about `limit`.
+/// `progress` hears of each kernel's turn: how many there were, and are.
 ///
 /// # Errors
 /// [`Error::Device`] for an adapter without timestamps; what the device returns.
@@ -97,13 +105,14 @@ pub fn tune(
     gpu: &Arc<Gpu>,
     graph: &Graph,
     inputs: &[(TensorId, &Value)],
+    precision: Precision,
     limit: Duration,
     mut progress: impl FnMut(usize, usize),
 ) -> Result<Tuned> {
     let start = Instant::now();
     // By operation and shapes: the kernels that fit, the preferred first.
     let mut candidates: BTreeMap<String, Vec<&'static str>> = BTreeMap::new();
-    works(graph, (1, Precision::F32, gpu.caps()), |work| {
+    works(graph, (1, precision, gpu.caps()), |work| {
         let fitting = kernels::of(work.op)?.iter().filter(|k| k.fits(work)).map(|k| k.id());
         candidates.insert(Choice::key(work), fitting.collect());
         Ok(())
@@ -117,7 +126,7 @@ pub fn tune(
         let of_turn = |ids: &Vec<&'static str>| (*ids.get(turn).unwrap_or(&ids[0])).to_owned();
         let by_shape = candidates.iter().map(|(key, ids)| (key.clone(), of_turn(ids)));
         let choice = Choice { by_shape: by_shape.collect(), ..Choice::default() };
-        for (key, (time, kernel)) in times(gpu, graph, inputs, &choice)? {
+        for (key, (time, kernel)) in times(gpu, graph, inputs, (&choice, precision))? {
             let entry = best.entry(key).or_insert((time, kernel));
             if time < entry.0 {
                 *entry = (time, kernel);
@@ -138,9 +147,8 @@ fn times(
     gpu: &Arc<Gpu>,
     graph: &Graph,
     inputs: &[(TensorId, &Value)],
-    choice: &Choice,
+    (choice, precision): (&Choice, Precision),
 ) -> Result<BTreeMap<String, (Duration, &'static str)>> {
-    let precision = Precision::F32;
     let request = Request { keep: &[], batch: 1, precision, caps: gpu.caps(), choice };
     let lowered = lower(graph, &request)?;
     let options = ProgramOptions { profile: Profile::Commands, ..ProgramOptions::default() };
@@ -162,7 +170,7 @@ fn times(
         *by_node.entry(*owner).or_default() += time;
     }
     let mut sums: BTreeMap<String, (Duration, u32, &'static str)> = BTreeMap::new();
-    works(graph, (1, Precision::F32, gpu.caps()), |work| {
+    works(graph, (1, precision, gpu.caps()), |work| {
         let kernel = choice.kernel(work)?.id();
         let time = by_node.get(&work.node).copied().unwrap_or_default();
         let sum = sums.entry(Choice::key(work)).or_insert((Duration::ZERO, 0, kernel));

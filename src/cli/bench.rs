@@ -1,7 +1,6 @@
 //! `smr-gpu bench`: where the time goes on an adapter.
 
 use serde::Serialize;
-use smr_gpu::gpu::{Gpu, GpuOptions};
 use smr_gpu::{Device, GpuDetector, Scene};
 
 use super::detector::{AdapterArgs, NetworkArgs};
@@ -52,8 +51,7 @@ struct Record {
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let mut config = args.network.config(Scene::FULL)?;
-    let adapter = args.device.choice()?;
-    let gpu = pollster::block_on(Gpu::open(GpuOptions { adapter, ..GpuOptions::default() }))?;
+    let gpu = args.device.open(&args.network)?;
     config.device = Device::Reference;
     let runs = args.runs.into();
     let roof = smr_gpu::profile::roof(&gpu, runs)?;

@@ -6,7 +6,7 @@ use std::time::Duration;
 use serde::Serialize;
 use smr_gpu::{Comparison, Device, Frame, GpuDetector, Scene};
 
-use super::detector::{AdapterArgs, Assumed, NetworkArgs, fraction};
+use super::detector::{AdapterArgs, Assumed, BoxArgs, NetworkArgs, fraction};
 use super::exit::{Exit, Failure};
 use super::output::{count, json_line, line, tell};
 use super::picture;
@@ -36,6 +36,9 @@ pub(super) struct Args {
 
     #[command(flatten)]
     network: NetworkArgs,
+
+    #[command(flatten)]
+    boxes: BoxArgs,
 
     #[command(flatten)]
     device: AdapterArgs,
@@ -75,6 +78,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         return Ok(exit);
     }
     config.score = args.conf;
+    config.iou = args.boxes.iou;
     config.keep_stages = true;
     let detector = GpuDetector::new(config)?;
     tell(format!("{} against the CPU reference (f64)", detector.adapter()));

@@ -53,12 +53,6 @@ pub(super) struct NetworkArgs {
     #[arg(long, value_name = "large|small|FILE")]
     weights: Option<PathBuf>,
 
-    /// Of two boxes of a class that overlap by more than this (intersection over union, 0 to 1),
-    /// the one with the lower score goes.
-    #[arg(long, default_value_t = 0.5, value_name = "IOU", value_parser = fraction)]
-    #[arg(allow_negative_numbers = true)]
-    iou: f32,
-
     /// The sensor that took the pictures: `paper`, `gelsight-mini`, `plain` (all gel, 40 mm along the
     /// shorter side), or a sensor file (JSON) [default: the paper's, or what looks like it].
     #[arg(long, value_name = "NAME|FILE", value_parser = given)]
@@ -86,6 +80,16 @@ pub(super) struct NetworkArgs {
     timeout: Duration,
 }
 
+/// Which of the network's boxes stay.
+#[derive(Debug, clap::Args)]
+pub(super) struct BoxArgs {
+    /// Of two boxes of a class that overlap by more than this (intersection over union, 0 to 1),
+    /// the one with the lower score goes.
+    #[arg(long, default_value_t = 0.5, value_name = "IOU", value_parser = fraction)]
+    #[arg(allow_negative_numbers = true)]
+    pub iou: f32,
+}
+
 /// A sensor that an option names, with its file if it has one.
 #[derive(Clone, Debug)]
 struct Given {
@@ -98,6 +102,9 @@ struct Given {
 pub(super) struct DetectorArgs {
     #[command(flatten)]
     pub network: NetworkArgs,
+
+    #[command(flatten)]
+    boxes: BoxArgs,
 
     /// What may be left out where a picture does not need it, separated by commas: `contact`, the
     /// network where nothing touches the gel; `regions`, the gel round what touches it;
@@ -193,6 +200,18 @@ impl AdapterArgs {
     }
 }
 
+impl AdapterArgs {
+    /// Opens the adapter, with the network's limit on each run.
+    ///
+    /// # Errors
+    /// As [`choice`](Self::choice), and what the library returns.
+    pub fn open(&self, network: &NetworkArgs) -> Result<Arc<Gpu>, Failure> {
+        let (adapter, timeout) = (self.choice()?, network.timeout);
+        let options = GpuOptions { adapter, timeout, ..GpuOptions::default() };
+        Ok(pollster::block_on(Gpu::open(options))?)
+    }
+}
+
 impl NetworkArgs {
     /// Whether the options say how large what a picture shows is.
     pub fn states_scale(&self) -> bool {
@@ -217,7 +236,6 @@ impl NetworkArgs {
     /// [`Exit::Inputs`] if the sensor's reference frame cannot be read.
     pub fn config(&self, scene: Scene) -> Result<Config, Failure> {
         let mut config = Config::new(weight_file(self.weights.as_deref())?);
-        config.iou = self.iou;
         config.input_size = self.size;
         config.sensor = self.sensor.as_ref().map(|given| given.sensor.clone());
         if let Some(scale) = self.mm_per_pixel {
@@ -271,6 +289,7 @@ impl DetectorArgs {
     /// See [`NetworkArgs::config`].
     pub fn config(&self) -> Result<Config, Failure> {
         let mut config = self.network.config(self.scene())?;
+        config.iou = self.boxes.iou;
         config.device = self.device.device.clone();
         Ok(config)
     }

@@ -5,8 +5,7 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use smr_gpu::files::Outputs;
-use smr_gpu::gpu::{Gpu, GpuOptions};
-use smr_gpu::tune::Place;
+use smr_gpu::tune::{Place, Tuned};
 use smr_gpu::{Device, GpuDetector, Scene};
 
 use super::detector::{AdapterArgs, NetworkArgs};
@@ -19,15 +18,17 @@ const FOLDER_VARIABLE: &str = "SMR_GPU_CACHE";
 /// Measure which kernels are fastest on an adapter, and keep the choice
 ///
 /// Each operation runs with each kernel that fits, for at most about ten seconds in all. The choice is
-/// kept in the user's cache folder, by adapter, driver and version; detections use it from then on.
+/// kept in the user's cache folder, by adapter, driver and version, beside those of other networks, sizes
+/// and precisions; detections use it from then on.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Longest measurement, in seconds; a kernel's turn that has begun is ended.
     #[arg(long, default_value_t = 10, value_name = "SECONDS")]
     #[arg(value_parser = clap::value_parser!(u64).range(1..=3600))]
+    #[arg(allow_negative_numbers = true)]
     seconds: u64,
 
-    /// Write the choice to this file instead.
+    /// Write the choice to this file instead, or beside what it holds if that was measured here too.
     #[arg(long, value_name = "FILE.json")]
     out: Option<PathBuf>,
 
@@ -40,8 +41,7 @@ pub(super) struct Args {
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let mut config = args.network.config(Scene::FULL)?;
-    let adapter = args.device.choice()?;
-    let gpu = pollster::block_on(Gpu::open(GpuOptions { adapter, ..GpuOptions::default() }))?;
+    let gpu = args.device.open(&args.network)?;
     let mut files = Outputs::default();
     args.network.spare(&mut files, &config);
     config.device = Device::Reference;
@@ -67,11 +67,17 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         bar.set_position(done as u64);
     })?;
     bar.finish_and_clear();
+    let kept = match Tuned::read(&path, &gpu) {
+        Ok(earlier) => tuned.clone().beside(earlier),
+        // Not there, or of no use here.
+        Err(_) => tuned.clone(),
+    };
+    // First of all: stdout's reader may go away.
+    files.write(&path, kept.to_json().as_bytes())?;
+    tell(format!("{} ({}): kept in {}", gpu.info().name, gpu.info().backend, path.display()));
     for (key, kernel) in &tuned.choice.by_shape {
         line(format!("{kernel:<28} {key}"))?;
     }
-    files.write(&path, tuned.to_json().as_bytes())?;
-    tell(format!("{} ({}): kept in {}", gpu.info().name, gpu.info().backend, path.display()));
     Ok(Exit::Done)
 }
 

@@ -253,7 +253,7 @@ impl GpuDetector {
         let input = self.input(&self.noise())?;
         let engine = self.engines().one(input.geometry.size)?;
         let inputs = input.inputs(&engine.network);
-        tune::tune(gpu, &engine.network.graph, &inputs, limit, progress)
+        tune::tune(gpu, &engine.network.graph, &inputs, self.config.precision, limit, progress)
     }
 
     /// Times every command of this network on `gpu`: see [`crate::profile`]. The detector must hold its

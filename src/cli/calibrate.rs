@@ -44,7 +44,8 @@ pub(super) struct Args {
     #[arg(long, value_name = "PNG")]
     save: Option<PathBuf>,
 
-    /// Write the fitted light in the form of the simulator's own src/simulator/calibration.json.
+    /// Write the fitted light in the form of the simulator's own src/simulator/calibration.json. It is called
+    /// as the folder is.
     #[arg(long, value_name = "JSON")]
     optics: Option<PathBuf>,
 
@@ -62,21 +63,22 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let report = calibrate::calibrate(&args.presses, &ball).map_err(unreadable)?;
     let mut outputs = Outputs::sparing(report.files.iter().chain(&sensors));
     outputs.check_all(args.save.iter().chain(&args.write).chain(&args.optics))?;
-    let side = report.crop_px;
-    let contacts = if report.found { "found" } else { "from the table" };
-    line(format!(
-        "{} presses, contacts {contacts}, {side}×{side} crops, {FOLDS}-fold held out",
-        report.presses
-    ))?;
-    line(scale(&report))?;
-    line("")?;
-    line("| renderer | L1 | PSNR, dB | SSIM |")?;
-    line("|---|---|---|---|")?;
-    let row = |name: &str, d: &Distance| {
-        line(format!("| {name} | {:.2} | {:.2} | {:.3} |", d.l1, d.psnr_db, d.ssim))
-    };
-    row("the untouched background, nothing drawn", &report.background)?;
-    row("this simulator, held out", &report.held_out)?;
+    // First of all: stdout's reader may go away. Of a fit that is not written there are figures, too.
+    let written = write(&args, &report, &sensors, &mut outputs);
+    let printed = print(&report);
+    written.and(printed).map(|()| Exit::Done)
+}
+
+/// Writes what the options name.
+///
+/// # Errors
+/// [`Exit::Inputs`] for a fit that is none, [`Exit::Output`].
+fn write(
+    args: &Args,
+    report: &Report,
+    sensors: &[PathBuf],
+    outputs: &mut Outputs,
+) -> Result<(), Failure> {
     if let Some(path) = &args.save {
         let mut png = Cursor::new(Vec::new());
         report
@@ -99,8 +101,10 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         tell(format!("{}: for --sensor", path.display()));
     }
     if let Some(path) = &args.optics {
-        let mut fitted = vec![report.optics("gelsight_ball_presses").map_err(unreadable)?];
-        for file in &sensors {
+        let folder = args.presses.canonicalize().unwrap_or_else(|_| args.presses.clone());
+        let name = folder.file_name().unwrap_or_default().to_string_lossy();
+        let mut fitted = vec![report.optics(&name).map_err(unreadable)?];
+        for file in sensors {
             fitted.push(read_sensor(file).map_err(unreadable)?);
         }
         let text = serde_json::to_string(&fitted)
@@ -108,7 +112,26 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         outputs.write(path, text.as_bytes())?;
         tell(format!("{}: {}", path.display(), count(fitted.len(), "sensor")));
     }
-    Ok(Exit::Done)
+    Ok(())
+}
+
+/// Prints how near simulated presses are to the real ones.
+fn print(report: &Report) -> Result<(), Failure> {
+    let side = report.crop_px;
+    let contacts = if report.found { "found" } else { "from the table" };
+    line(format!(
+        "{} presses, contacts {contacts}, {side}×{side} crops, {FOLDS}-fold held out",
+        report.presses
+    ))?;
+    line(scale(report))?;
+    line("")?;
+    line("| renderer | L1 | PSNR, dB | SSIM |")?;
+    line("|---|---|---|---|")?;
+    let row = |name: &str, d: &Distance| {
+        line(format!("| {name} | {:.2} | {:.2} | {:.3} |", d.l1, d.psnr_db, d.ssim))
+    };
+    row("the untouched background, nothing drawn", &report.background)?;
+    row("this simulator, held out", &report.held_out)
 }
 
 fn unreadable(error: Error) -> Failure {

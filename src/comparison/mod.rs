@@ -30,6 +30,7 @@ use std::collections::{HashMap, HashSet};
 use std::time::Duration;
 
 pub use choice::ChoiceComparison;
+pub(crate) use tensor::larger;
 pub use tensor::{TensorComparison, relative_l2};
 
 use crate::error::{Error, Result};
@@ -82,16 +83,15 @@ impl StageComparison {
         self.tensors.iter().map(|t| t.share).fold(0.0, f64::max)
     }
 
-    /// The largest bias as a share of its bound; `None` where no operation is a sum of products.
+    /// The largest bias as a share of its bound, not a number if one is not; `None` where no operation is a sum
+    /// of products.
     pub fn bias(&self) -> Option<f64> {
-        self.tensors.iter().filter_map(|t| t.bias).reduce(f64::max)
+        self.tensors.iter().filter_map(|t| t.bias).reduce(larger)
     }
 
     /// The largest drift; not a number if one is not.
     pub fn drift(&self) -> Option<f64> {
-        let drifts = self.tensors.iter().filter_map(|t| t.drift);
-        // Not `max`, which would drop a NaN.
-        drifts.reduce(|a, b| if a.is_nan() || a >= b { a } else { b })
+        self.tensors.iter().filter_map(|t| t.drift).reduce(larger)
     }
 }
 
@@ -299,10 +299,7 @@ fn float<'a>(network: &Network, values: &'a Values, id: TensorId) -> Result<&'a 
 
 fn largest_difference(ours: &Tensor, theirs: &Tensor) -> f64 {
     let pairs = ours.data().iter().zip(theirs.data());
-    // Not `max`, which would drop a NaN.
-    pairs
-        .map(|(a, b)| (f64::from(*a) - f64::from(*b)).abs())
-        .fold(0.0, |a, b| if a.is_nan() || a >= b { a } else { b })
+    pairs.map(|(a, b)| (f64::from(*a) - f64::from(*b)).abs()).fold(0.0, larger)
 }
 
 /// How far apart what both detected is.

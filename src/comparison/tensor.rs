@@ -69,10 +69,11 @@ impl TensorComparison {
                      {limit:.1e}, got {got}"
                 ))
             }
-            (None, Some(bias)) if bias > 1.0 => {
+            // A NaN must fail.
+            (None, None | Some(..=1.0)) => None,
+            (None, Some(bias)) => {
                 Some(format!("{name}: scaled by {bias:.1} times what roundings leave"))
             }
-            _ => None,
         };
         Self { name: name.into(), share, bias, drift: None, failure }
     }
@@ -112,6 +113,11 @@ fn bias(
     }
     let squares: f64 = bounds.iter().map(|bound| bound * bound).sum();
     Some(if sum == 0.0 { 0.0 } else { sum.abs() / (DEVIATIONS * squares.sqrt()) })
+}
+
+/// The larger of two; not a number if one is not, which `f64::max` would drop.
+pub(crate) fn larger(a: f64, b: f64) -> f64 {
+    if a.is_nan() || a >= b { a } else { b }
 }
 
 /// The channel of an element, of maps `[.., C, H, W]` or rows `[.., C]`.
@@ -225,6 +231,20 @@ mod tests {
         let flat = Tolerance::Each(vec![3.0 / 1024.0; 4096]);
         let one = compared(&conv, &[1.0 + 1.0 / 1024.0; 4096], &[1.0; 4096], &flat);
         assert!(one.failure.is_none() && one.bias.is_some_and(|b| b < 0.05), "{one:?}");
+    }
+
+    #[test]
+    fn no_nan_passes() {
+        assert_eq!([larger(1.0, 2.0), larger(2.0, 1.0)], [2.0; 2]);
+        assert!([larger(f64::NAN, 1.0), larger(1.0, f64::NAN)].iter().all(|v| v.is_nan()));
+        // Infinite on both sides alike, whose difference is no number.
+        let same = [1.0, f32::INFINITY];
+        let bounds = Tolerance::Each(vec![1.0; 2]);
+        let compared = compared(&Conv2d::default(), &same, &same, &bounds);
+        assert!(
+            compared.bias.is_some_and(f64::is_nan) && compared.failure.is_some(),
+            "{compared:?}"
+        );
     }
 
     /// Half of the bound everywhere: of n channels that agree by chance n/2 of 7·√n.

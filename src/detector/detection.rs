@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::comparison::{ChoiceComparison, Shift, StageComparison};
+use crate::comparison::{ChoiceComparison, Shift, StageComparison, larger};
 use crate::frame::Rect;
 use crate::graph::StageTime;
 use crate::precision::Precision;
@@ -121,13 +121,59 @@ impl Comparison {
         self.stages.iter().map(StageComparison::share).fold(0.0, f64::max)
     }
 
-    /// The largest bias of a tensor as a share of its bound.
+    /// The largest bias of a tensor as a share of its bound; not a number if one is not.
     pub fn bias(&self) -> f64 {
-        self.stages.iter().filter_map(StageComparison::bias).fold(0.0, f64::max)
+        self.stages.iter().filter_map(StageComparison::bias).fold(0.0, larger)
     }
 
-    /// The largest drift of a stage.
+    /// The largest drift of a stage; not a number if one is not.
     pub fn drift(&self) -> f64 {
-        self.stages.iter().filter_map(StageComparison::drift).fold(0.0, f64::max)
+        self.stages.iter().filter_map(StageComparison::drift).fold(0.0, larger)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::comparison::TensorComparison;
+
+    #[test]
+    fn a_figure_that_is_no_number_is_the_largest() {
+        let stage = |value: f64| {
+            let (bias, drift) = (Some(value), Some(value));
+            let tensor =
+                TensorComparison { name: "t".into(), share: 0.0, bias, drift, failure: None };
+            let (time, reference_time) = (None, Duration::ZERO);
+            StageComparison { stage: "s".into(), time, reference_time, tensors: vec![tensor] }
+        };
+        let found = Detections {
+            detections: Vec::new(),
+            width: 1,
+            height: 1,
+            gel: Rect { x: 0, y: 0, width: 1, height: 1 },
+            mm_per_pixel: 1.0,
+            precision: Precision::F32,
+            contact: None,
+            regions: None,
+            without_deepest: false,
+            looked_again: false,
+            reused: false,
+            proposals: 0,
+            stages: Vec::new(),
+            wall: Duration::ZERO,
+        };
+        let compared = |values: &[f64]| Comparison {
+            stages: values.iter().copied().map(stage).collect(),
+            proposals: ChoiceComparison::default(),
+            detections: ChoiceComparison::default(),
+            shift: Shift::default(),
+            shift_mm: 0.0,
+            found: found.clone(),
+            expected: found.clone(),
+        };
+        let sound = compared(&[0.5, 2.0, 1.0]);
+        assert_eq!((sound.bias(), sound.drift()), (2.0, 2.0));
+        let broken = compared(&[0.5, f64::NAN, 1.0]);
+        assert!(broken.bias().is_nan() && broken.drift().is_nan());
     }
 }

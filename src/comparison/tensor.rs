@@ -107,9 +107,12 @@ fn bias(
         if rounding >= bounds.len() {
             bounds.resize(rounding + 1, 0.0);
         }
-        let (got, want) = (f64::from(*pair.0), f64::from(*pair.1));
-        sum += (got - want) * want;
-        bounds[rounding] += tolerance.limit(i) * want.abs();
+        let (got, want, limit) = (f64::from(*pair.0), f64::from(*pair.1), tolerance.limit(i));
+        // What is infinite, or has no bound, says nothing of a scale.
+        if (got * limit).is_finite() && want.is_finite() {
+            sum += (got - want) * want;
+            bounds[rounding] += limit * want.abs();
+        }
     }
     let squares: f64 = bounds.iter().map(|bound| bound * bound).sum();
     Some(if sum == 0.0 { 0.0 } else { sum.abs() / (DEVIATIONS * squares.sqrt()) })
@@ -237,14 +240,24 @@ mod tests {
     fn no_nan_passes() {
         assert_eq!([larger(1.0, 2.0), larger(2.0, 1.0)], [2.0; 2]);
         assert!([larger(f64::NAN, 1.0), larger(1.0, f64::NAN)].iter().all(|v| v.is_nan()));
-        // Infinite on both sides alike, whose difference is no number.
-        let same = [1.0, f32::INFINITY];
-        let bounds = Tolerance::Each(vec![1.0; 2]);
-        let compared = compared(&Conv2d::default(), &same, &same, &bounds);
-        assert!(
-            compared.bias.is_some_and(f64::is_nan) && compared.failure.is_some(),
-            "{compared:?}"
-        );
+    }
+
+    /// What is infinite on both sides, or has no bound, hides no scale beside it.
+    #[test]
+    fn a_bias_is_of_what_is_finite() {
+        let (limit, odd) = (1.0 / 1024.0, [f32::INFINITY, f32::NAN, 0.0]);
+        let side = |scale: f32| {
+            let finite = (0..4096).map(move |i| (1.0 + (i % 7) as f32) * scale);
+            finite.chain(odd).collect::<Vec<f32>>()
+        };
+        let mut limits = vec![7.0 * limit; 4096];
+        limits.extend([limit, limit, f64::INFINITY]);
+        let (want, bounds) = (side(1.0), Tolerance::Each(limits));
+        let sound = compared(&Conv2d::default(), &want, &want, &bounds);
+        assert!(sound.bias == Some(0.0) && sound.failure.is_none(), "{sound:?}");
+        let scaled = compared(&Conv2d::default(), &side(1.0 + 1.0 / 1024.0), &want, &bounds);
+        assert!(scaled.bias.is_some_and(|bias| bias > 1.0), "{scaled:?}");
+        assert!(scaled.failure.is_some_and(|failure| failure.contains("scaled")));
     }
 
     /// Half of the bound everywhere: of n channels that agree by chance n/2 of 7·√n.

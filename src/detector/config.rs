@@ -378,7 +378,7 @@ mod tests {
         let model = ModelConfig::large();
         let alone = Config::new("weights").score(0.5);
         assert!(alone.is_doubtful(0.3) && !alone.is_doubtful(0.1));
-        assert_eq!(alone.wanted(&model).expect("a range").score, 0.5 * 0.4);
+        assert_eq!(alone.wanted(&model).expect("a range").score, alone.scene.least_score(0.5));
         let besides = Config::new("weights").score(0.05).counts_above(0.5);
         assert!(besides.is_doubtful(0.3) && !besides.is_doubtful(0.04));
         assert_eq!(besides.wanted(&model).expect("a range").score, 0.05);

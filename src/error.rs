@@ -101,6 +101,14 @@ pub enum Error {
         /// What is wrong.
         message: String,
     },
+    /// A file of another kind cannot be used.
+    #[error("{file}: {message}")]
+    File {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        message: String,
+    },
     /// A picture cannot be used.
     #[error("{file}: {message}")]
     Picture {

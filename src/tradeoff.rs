@@ -11,6 +11,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::files;
+use crate::kernels;
+use crate::model::ModelConfig;
 use crate::precision::Precision;
 use crate::tune::Place;
 
@@ -94,11 +96,6 @@ impl Spread {
         let at =
             |q: f64| sorted[((q * sorted.len() as f64).ceil() as usize).clamp(1, last + 1) - 1];
         Some(Self { median: at(0.5), percentile_95: at(0.95), worst: sorted[last] })
-    }
-
-    /// Whether every value is a number.
-    pub fn is_finite(&self) -> bool {
-        self.worst.is_finite()
     }
 }
 
@@ -199,13 +196,24 @@ impl Table {
     /// Reads a table.
     ///
     /// # Errors
-    /// [`Error::Param`] for a file that is damaged.
+    /// [`Error::File`] for a file that is damaged, or names what this version does not have.
     pub fn open(path: &Path) -> Result<Self> {
-        let fail = |got: String| {
-            Error::param("tradeoff", &path.display().to_string(), "a table of setups", got)
-        };
+        let fail = |message: String| Error::File { file: path.to_owned(), message };
         let bytes = files::read(path, MAX_FILE).map_err(|e| fail(e.to_string()))?;
-        serde_json::from_slice(&bytes).map_err(|e| fail(e.to_string()))
+        let table: Self = serde_json::from_slice(&bytes)
+            .map_err(|e| fail(format!("expected a table of setups, got an error: {e}")))?;
+        for setup in table.rows.iter().map(|row| &row.setup) {
+            let refuse = |what: &str, expected: &str, got: &dyn std::fmt::Display| {
+                fail(format!("{}: {what}: expected {expected}, got {got}", setup.name()))
+            };
+            if let Some(size) = setup.size.filter(|size| !ModelConfig::is_input_size(*size)) {
+                return Err(refuse("size", ModelConfig::INPUT_SIZES, &size));
+            }
+            if let Some(id) = setup.kernels.iter().find(|id| kernels::find(id).is_none()) {
+                return Err(refuse("kernels", "names of kernels", id));
+            }
+        }
+        Ok(table)
     }
 
     /// The setups that no other beats in time and in shift, the fastest first.
@@ -224,28 +232,37 @@ impl Table {
         rows
     }
 
-    /// The fastest setup that keeps to `limit`.
+    /// The fastest setup that keeps to `limit`, of those that look at one picture at a time: what several at
+    /// a time take a picture is no help to one that comes alone.
     ///
     /// # Errors
     /// [`Error::Param`] if none does: with what the nearest one reaches.
     pub fn choose(&self, limit: Limit) -> Result<&Measured> {
-        let iou = |row: &Measured| row.quality.map_or(f64::NEG_INFINITY, |q| q.iou);
+        let alone = || self.rows.iter().filter(|row| row.setup.batch <= 1);
+        let iou = |row: &Measured| row.quality.map(|q| q.iou);
         let fits = |row: &&Measured| match limit {
             Limit::ShiftMm(most) => row.shift_mm() <= most,
-            Limit::Iou(least) => iou(row) >= least,
+            Limit::Iou(least) => iou(row).is_some_and(|iou| iou >= least),
         };
-        let fitting = self.rows.iter().filter(fits);
-        let fastest = fitting.min_by(|a, b| a.wall_ms.median.total_cmp(&b.wall_ms.median));
+        let fastest =
+            alone().filter(fits).min_by(|a, b| a.wall_ms.median.total_cmp(&b.wall_ms.median));
+        let refuse =
+            |param, expected: String, got: f64| Error::param("tradeoff", param, expected, got);
         fastest.ok_or_else(|| match limit {
             Limit::ShiftMm(most) => {
-                let least = self.rows.iter().map(Measured::shift_mm).fold(f64::INFINITY, f64::min);
-                let expected = format!("at least {least:.4}, the nearest of the table");
-                Error::param("tradeoff", "max_shift_mm", expected, most)
+                let finite = alone().map(Measured::shift_mm).filter(|mm| mm.is_finite());
+                let expected = match finite.reduce(f64::min) {
+                    Some(least) => format!("at least {least:.4}, the nearest of the table"),
+                    None => "a table in which a setup finds the base's boxes".into(),
+                };
+                refuse("max_shift_mm", expected, most)
             }
             Limit::Iou(wanted) => {
-                let most = self.rows.iter().map(iou).fold(f64::NEG_INFINITY, f64::max);
-                let expected = format!("at most {most:.4}, the best of the table");
-                Error::param("tradeoff", "min_iou", expected, wanted)
+                let expected = match alone().filter_map(iou).reduce(f64::max) {
+                    Some(most) => format!("at most {most:.4}, the best of the table"),
+                    None => "a table of pictures with labelled snaps".into(),
+                };
+                refuse("min_iou", expected, wanted)
             }
         })
     }
@@ -363,6 +380,61 @@ mod tests {
         assert!(none.choose(Limit::ShiftMm(1.0)).is_err() && none.front().is_empty());
     }
 
+    /// A picture that comes alone has nothing of those beside it.
+    #[test]
+    fn several_at_a_time_are_not_chosen() {
+        let mut table = table();
+        table.rows[2].setup.batch = 4;
+        let chosen = table.choose(Limit::ShiftMm(0.2)).expect("a setup");
+        assert_eq!(chosen.setup.weights, "middle");
+        assert_eq!(names(table.front()), ["fast", "middle", "exact"]);
+    }
+
+    #[test]
+    fn what_no_setup_can_reach_is_said() {
+        let mut table = table();
+        for row in &mut table.rows {
+            row.quality = None;
+            row.shift.mm = None;
+        }
+        let message = |limit| table.choose(limit).expect_err("an error").to_string();
+        let labels = message(Limit::Iou(0.5));
+        assert!(
+            labels.contains("expected a table of pictures with labelled snaps, got 0.5"),
+            "{labels}"
+        );
+        let boxes = message(Limit::ShiftMm(0.1));
+        assert!(
+            boxes.contains("expected a table in which a setup finds the base's boxes"),
+            "{boxes}"
+        );
+    }
+
+    /// As an earlier version or a hand may have written it.
+    #[test]
+    fn a_table_of_what_there_is_not_is_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("table.json");
+        let message = |table: &Table| {
+            std::fs::write(&path, serde_json::to_vec(table).expect("JSON")).expect("written");
+            Table::open(&path).expect_err("an error").to_string()
+        };
+        let (mut size, mut kernel) = (table(), table());
+        size.rows[1].setup.size = Some(100);
+        let got = message(&size);
+        assert!(
+            got.ends_with(
+                "slow at 100 px, cpu: size: expected a multiple of 32 from 32 to 1440, got 100"
+            ),
+            "{got}"
+        );
+        kernel.rows[1].setup.kernels = vec!["nope/x".into()];
+        let got = message(&kernel);
+        assert!(got.ends_with("kernels: expected names of kernels, got nope/x"), "{got}");
+        let got = Table::open(folder.path()).expect_err("an error").to_string();
+        assert_eq!(got, format!("{}: expected a file, got a folder", folder.path().display()));
+    }
+
     /// Of twenty values the nineteenth is the 95th percentile, and a single infinity is the worst alone.
     #[test]
     fn spreads_by_hand() {
@@ -371,7 +443,7 @@ mod tests {
         assert_eq!(Spread::of(&values), Some(want));
         values[0] = f64::INFINITY;
         let spread = Spread::of(&values).expect("values");
-        assert_eq!((spread.percentile_95, spread.is_finite()), (19.0, false));
+        assert_eq!((spread.percentile_95, spread.worst), (19.0, f64::INFINITY));
         assert_eq!(Spread::of(&[3.0]).expect("a value").percentile_95, 3.0);
         assert_eq!(Spread::of(&[]), None);
     }

@@ -67,17 +67,17 @@ impl Tuned {
     /// Reads the choice for `gpu`.
     ///
     /// # Errors
-    /// [`Error::Param`] for a file that is damaged, or measured elsewhere.
+    /// [`Error::File`] for a file that is damaged, or measured elsewhere.
     pub fn read(path: &Path, gpu: &Gpu) -> Result<Self> {
-        let fail = |got: String| {
-            Error::param("tune", &path.display().to_string(), "a choice of kernels", got)
-        };
+        let fail = |message: String| Error::File { file: path.to_owned(), message };
+        let expected = |got: String| fail(format!("expected a choice of kernels, got {got}"));
         let bytes = files::read(path, MAX_FILE).map_err(|e| fail(e.to_string()))?;
-        let tuned: Self = serde_json::from_slice(&bytes).map_err(|e| fail(e.to_string()))?;
-        let place = Place::of(gpu);
-        match tuned.place == place {
+        let tuned: Self =
+            serde_json::from_slice(&bytes).map_err(|e| expected(format!("an error: {e}")))?;
+        let Place { adapter, driver, version } = &tuned.place;
+        match tuned.place == Place::of(gpu) {
             true => Ok(tuned),
-            false => Err(fail(format!("one of {} ({})", tuned.place.adapter, tuned.place.driver))),
+            false => Err(expected(format!("one of {adapter} ({driver}) in version {version}"))),
         }
     }
 

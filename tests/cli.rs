@@ -3,6 +3,7 @@
 use std::collections::{BTreeSet, HashMap};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use image::{GrayAlphaImage, GrayImage, ImageBuffer, Luma};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -69,6 +70,14 @@ fn wrong_command_lines_are_usage_errors() {
         (&["eval", "--data", ".", "--conf", "-1"], "expected a number from 0 to 1"),
         (&["compare", "x.png", "--conf", "-1"], "expected a number from 0 to 1"),
         (&["check", "--device", "reference"], "held to the reference"),
+        (&["tune", "--seconds", "-1"], "invalid value '-1' for '--seconds"),
+        // It would change nothing.
+        (&["tune", "--iou", "0.4"], "unexpected argument '--iou'"),
+        (&["bench", "--iou", "0.4"], "unexpected argument '--iou'"),
+        (
+            &["tradeoff", "--data", ".", "--out", "out", "--max-shift-mm", "-1"],
+            "expected a number of millimetres",
+        ),
     ];
     for (arguments, phrase) in cases {
         let ran = run(folder.path(), arguments).expect(2).tells(phrase);
@@ -189,9 +198,12 @@ fn weights_are_looked_for_where_the_readme_says() {
     Ran::from(output.expect("the program runs")).expect(3).tells("missing.safetensors");
     fs::create_dir(folder.path().join("weights")).expect("created");
     fs::write(folder.path().join("weights/smrnet.safetensors"), "junk").expect("written");
-    let output =
-        command(folder.path()).args(["detect", "x.png"]).env_remove("SMR_GPU_WEIGHTS").output();
-    Ran::from(output.expect("the program runs")).expect(3).tells("weights/smrnet.safetensors");
+    let unset = |change: fn(&mut Command) -> &mut Command| {
+        let output = change(command(folder.path()).args(["detect", "x.png"])).output();
+        Ran::from(output.expect("the program runs")).expect(3).tells("weights/smrnet.safetensors");
+    };
+    unset(|command| command.env_remove("SMR_GPU_WEIGHTS"));
+    unset(|command| command.env("SMR_GPU_WEIGHTS", ""));
 }
 
 #[test]

@@ -12,7 +12,7 @@ use smr_gpu::graph::StageTime;
 use smr_gpu::tradeoff::Limit;
 use smr_gpu::{Detection, Detections, Frame, GpuDetector, Precision, Rect};
 
-use super::detector::{self, Assumed, DetectorArgs, fraction};
+use super::detector::{self, Assumed, DetectorArgs, exact_fraction, fraction};
 use super::draw::{Artist, Gallery};
 use super::exit::{Exit, Failure, told};
 use super::output::{count, json_line, line, tell};
@@ -67,13 +67,13 @@ pub(super) struct Args {
 
     /// With --tradeoff: nineteen of twenty boxes are within so many millimetres of the base's.
     #[arg(long, value_name = "MM", requires = "tradeoff", value_parser = super::tradeoff::millimetres)]
-    #[arg(default_value_t = super::tradeoff::SHIFT_MM)]
+    #[arg(default_value_t = super::tradeoff::SHIFT_MM, allow_negative_numbers = true)]
     max_shift_mm: f64,
 
     /// With --tradeoff: the mean overlap with the labels is at least this.
     #[arg(long, value_name = "IOU", requires = "tradeoff", conflicts_with = "max_shift_mm")]
-    #[arg(value_parser = fraction)]
-    min_iou: Option<f32>,
+    #[arg(value_parser = exact_fraction, allow_negative_numbers = true)]
+    min_iou: Option<f64>,
 
     #[command(flatten)]
     detector: DetectorArgs,
@@ -115,14 +115,11 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     if sources.is_empty() {
         return Ok(exit);
     }
-    let mut config = args.detector.config()?;
-    if let Some(table) = &args.tradeoff {
-        let limit = match args.min_iou {
-            Some(iou) => Limit::Iou(iou.into()),
-            None => Limit::ShiftMm(args.max_shift_mm),
-        };
-        config = super::tradeoff::chosen(table, limit, config)?;
-    }
+    let limit = args.min_iou.map_or(Limit::ShiftMm(args.max_shift_mm), Limit::Iou);
+    let mut config = match &args.tradeoff {
+        Some(table) => super::tradeoff::chosen(table, limit, &args.detector)?,
+        None => args.detector.config()?,
+    };
     config.score = args.conf;
     config.max_detections = args.max_det.into();
     config.classes = args.classes.clone();

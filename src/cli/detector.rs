@@ -178,10 +178,17 @@ pub(super) fn input_size(text: &str) -> Result<usize, String> {
 /// # Errors
 /// In words, also for NaN.
 pub(super) fn fraction(text: &str) -> Result<f32, String> {
-    let expected = || "expected a number from 0 to 1".to_owned();
-    let value: f32 = text.parse().map_err(|_| expected())?;
+    exact_fraction(text).map(|value| value as f32)
+}
+
+/// [`fraction`] with all its digits.
+///
+/// # Errors
+/// As [`fraction`].
+pub(super) fn exact_fraction(text: &str) -> Result<f64, String> {
     // A NaN is in no range.
-    if (0.0..=1.0).contains(&value) { Ok(value) } else { Err(expected()) }
+    let value = text.parse().ok().filter(|value| (0.0..=1.0).contains(value));
+    value.ok_or_else(|| "expected a number from 0 to 1".to_owned())
 }
 
 impl AdapterArgs {
@@ -235,7 +242,12 @@ impl NetworkArgs {
     /// [`Exit::Usage`] for a scale out of its range, [`Exit::Weights`] if there is no weight file,
     /// [`Exit::Inputs`] if the sensor's reference frame cannot be read.
     pub fn config(&self, scene: Scene) -> Result<Config, Failure> {
-        let mut config = Config::new(weight_file(self.weights.as_deref())?);
+        self.config_with(weight_file(self.weights.as_deref())?, scene)
+    }
+
+    /// [`config`](Self::config) with other weights.
+    fn config_with(&self, weights: PathBuf, scene: Scene) -> Result<Config, Failure> {
+        let mut config = Config::new(weights);
         config.input_size = self.size;
         config.sensor = self.sensor.as_ref().map(|given| given.sensor.clone());
         if let Some(scale) = self.mm_per_pixel {
@@ -288,7 +300,15 @@ impl DetectorArgs {
     /// # Errors
     /// See [`NetworkArgs::config`].
     pub fn config(&self) -> Result<Config, Failure> {
-        let mut config = self.network.config(self.scene())?;
+        self.config_with(weight_file(self.network.weights.as_deref())?)
+    }
+
+    /// [`config`](Self::config) with other weights than the options name.
+    ///
+    /// # Errors
+    /// As [`config`](Self::config).
+    pub fn config_with(&self, weights: PathBuf) -> Result<Config, Failure> {
+        let mut config = self.network.config_with(weights, self.scene())?;
         config.iou = self.boxes.iou;
         config.device = self.device.device.clone();
         Ok(config)
@@ -340,8 +360,12 @@ pub(super) fn open_gpu(device: &Device) -> Result<Option<Arc<Gpu>>, Failure> {
     }
 }
 
+/// The weight file that is named, or the default.
+///
+/// # Errors
+/// [`Exit::Weights`] if there is none.
 pub(super) fn weight_file(given: Option<&Path>) -> Result<PathBuf, Failure> {
-    let variable = std::env::var_os(WEIGHTS_VARIABLE).map(PathBuf::from);
+    let variable = std::env::var_os(WEIGHTS_VARIABLE).filter(|v| !v.is_empty()).map(PathBuf::from);
     let given = given.map(Path::to_path_buf).or(variable).unwrap_or_else(|| WEIGHTS[0].0.into());
     let Some((_, file)) = WEIGHTS.iter().find(|(name, _)| Path::new(name) == given) else {
         if given.extension().is_none() && !given.exists() {

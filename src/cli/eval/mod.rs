@@ -14,7 +14,7 @@ use smr_gpu::evaluation::{
     deviations, figures, reliability,
 };
 use smr_gpu::files::{self, Outputs};
-use smr_gpu::metrics::{ScoredBox, Truth};
+use smr_gpu::metrics::ScoredBox;
 use smr_gpu::{Detections, Frame, GpuDetector};
 
 use super::detector::{self, Assumed, DetectorArgs, fraction};
@@ -96,11 +96,6 @@ impl Labelled {
     /// The scale that its label states, unless that is `unstated`.
     fn stated_scale(&self, unstated: bool) -> Option<f32> {
         self.picture.mm_per_pixel.filter(|_| !unstated)
-    }
-
-    /// What it shows of a class.
-    pub fn truths(&self, class: usize) -> Vec<Truth> {
-        self.snaps.iter().filter(|snap| snap.class == class).map(|snap| snap.truth).collect()
     }
 }
 
@@ -366,7 +361,7 @@ fn look(
 }
 
 /// What a picture shows and what was found in it.
-fn seen(labelled: &Labelled, found: &Detections) -> Seen {
+pub(super) fn seen(labelled: &Labelled, found: &Detections) -> Seen {
     let mut conditions = labelled.picture.conditions.clone();
     if let Some(mm_per_pixel) = labelled.picture.mm_per_pixel.map(f64::from) {
         let longer = f64::from(found.width.max(found.height));

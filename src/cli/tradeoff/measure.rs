@@ -8,23 +8,22 @@ use image::DynamicImage;
 use indicatif::{ProgressBar, ProgressStyle};
 use smr_gpu::comparison::relative_l2;
 use smr_gpu::detector::Stages;
-use smr_gpu::metrics::{Areas, PictureBoxes, ScoredBox, average_precision, box_iou, center};
+use smr_gpu::evaluation::{Figures, LEAST_SCORE, Seen, figures};
+use smr_gpu::metrics::box_iou;
 use smr_gpu::tensor::Value;
 use smr_gpu::tradeoff::{Measured, Quality, Setup, Shift, Spread, StageError, Table};
 use smr_gpu::{Config, Detection, Detections, Frame, GpuDetector};
 
 use super::super::detector;
-use super::super::eval::Labelled;
+use super::super::eval::{Labelled, seen};
 use super::super::exit::{Exit, Failure};
 use super::super::output::tell;
 use super::super::picture;
 use super::super::source::Source;
-use super::setups::{Plan, configured};
+use super::setups::{BATCH, Plan, configured, weights_of};
 use super::{SCORE, peak};
 
-/// Average precision looks at detections down to this score, the convention of Faster R-CNN.
-const LEAST_SCORE: f32 = 0.05;
-/// Two boxes are of the same snap if they overlap by this much; a box is right likewise.
+/// Two boxes are of the same snap if they overlap by this much.
 const SAME: f64 = 0.5;
 /// Pictures whose stages are compared.
 const STAGE_PICTURES: usize = 2;
@@ -77,7 +76,8 @@ pub(super) fn measure(
     drop(reference);
     progress.finish_and_clear();
 
-    let first = samples.len().div_ceil(FIRST);
+    // As many as run at a time, where there are so many.
+    let first = samples.len().div_ceil(FIRST).max(BATCH).min(samples.len());
     let mut runners = Vec::new();
     let mut goldens = HashMap::new();
     prepare(&plan.single, &samples, &mut goldens, &mut runners, &stop)?;
@@ -225,7 +225,8 @@ impl Runner {
             let found = found.map_err(|e| Failure::about(&sample.labelled.source, &e))?;
             let device: f64 = found.stages.iter().map(|s| s.time.as_secs_f64() * 1e3).sum();
             self.device_ms.extend((device > 0.0).then_some(device));
-            self.wall_ms.push(ms);
+            // The last of the pictures may be fewer.
+            self.wall_ms.extend((group.len() == batch).then_some(ms));
             self.found.push(found);
         }
         Ok(())
@@ -233,8 +234,8 @@ impl Runner {
 }
 
 fn build(setup: &Setup, keep_stages: bool) -> Result<GpuDetector, Failure> {
-    let (config, _) = configured(setup, Config::new(""))?;
-    detector::open(config.score(LEAST_SCORE).keep_stages(keep_stages))
+    let (config, _) = configured(setup, Config::new(weights_of(setup)?))?;
+    detector::open(config.score(LEAST_SCORE as f32).keep_stages(keep_stages))
 }
 
 fn frame<'a>(labelled: &Labelled, picture: &'a DynamicImage) -> Frame<'a> {
@@ -341,30 +342,12 @@ fn shift(found: &[Detections], samples: &[Sample]) -> Shift {
 
 /// What was found against the labels; `None` without any.
 fn quality(found: &[Detections], samples: &[Sample], classes: &[String]) -> Option<Quality> {
-    let (mut overlaps, mut errors, mut precisions) = (Vec::new(), Vec::new(), Vec::new());
-    for (index, class) in classes.iter().enumerate() {
-        let mut pictures = Vec::new();
-        for (found, sample) in found.iter().zip(samples) {
-            let of_class = found.detections.iter().filter(|d| d.class == *class);
-            let boxes = of_class
-                .map(|d| ScoredBox { bbox: d.bbox.map(f64::from), score: d.score.into() })
-                .collect();
-            let picture = PictureBoxes { truths: sample.labelled.truths(index), found: boxes };
-            for (truth, best) in picture.best(SCORE.into()) {
-                overlaps.push(best.map_or(0.0, |(_, iou)| iou));
-                if let Some((right, _)) = best.filter(|(_, iou)| *iou >= SAME) {
-                    let ([x, y], [u, v]) = (center(truth.bbox), center(right.bbox));
-                    errors.push((x - u).hypot(y - v) * f64::from(found.mm_per_pixel));
-                }
-            }
-            pictures.push(picture);
-        }
-        precisions.extend(average_precision(&pictures, SAME, Areas::ALL));
-    }
-    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-    (!overlaps.is_empty()).then(|| Quality {
-        iou: mean(&overlaps),
-        ap50: mean(&precisions),
-        center_error_mm: Spread::of(&errors).map_or(f64::INFINITY, |s| s.median),
+    let seen: Vec<Seen> = found.iter().zip(samples).map(|(f, s)| seen(s.labelled, f)).collect();
+    let every: Vec<usize> = (0..classes.len()).collect();
+    let Figures { mean_best_iou, ap50, center_error_mm, .. } = figures(&seen, &every, SCORE.into());
+    Some(Quality {
+        iou: mean_best_iou?,
+        ap50: ap50?,
+        center_error_mm: center_error_mm.median.unwrap_or(f64::INFINITY),
     })
 }

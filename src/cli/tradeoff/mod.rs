@@ -17,7 +17,7 @@ use smr_gpu::{Config, Device};
 pub(super) use peak::{Args as PeakArgs, run as run_peak};
 pub(super) use setups::configured;
 
-use super::detector::{fraction, open_gpu};
+use super::detector::{DetectorArgs, exact_fraction, open_gpu};
 use super::eval::read_labels;
 use super::exit::{Exit, Failure};
 use super::output::{line, tell};
@@ -27,8 +27,8 @@ use super::output::{line, tell};
 /// Runs each configuration on the same pictures, one after the other in turn, so that all meet the same
 /// machine: first those that differ from the base by one thing (network, size of the input, device,
 /// precision, kernels, pictures at a time), then combinations of what was best. Writes tradeoff.json,
-/// tradeoff.csv, tradeoff.md, tradeoff.png and tradeoff.svg. The last line recommends a configuration;
-/// `smr-gpu detect --tradeoff tradeoff.json` uses it. Ctrl-C keeps what was measured.
+/// tradeoff.csv, tradeoff.md, tradeoff.png and tradeoff.svg. The last line recommends a configuration for
+/// one picture at a time; `smr-gpu detect --tradeoff tradeoff.json` uses it. Ctrl-C keeps what was measured.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Folder with annotations.json and the pictures.
@@ -56,17 +56,19 @@ pub(super) struct Args {
         value_delimiter = ',',
         default_value = "160,192,224,256,288,384"
     )]
-    #[arg(value_parser = super::detector::input_size)]
+    #[arg(value_parser = super::detector::input_size, allow_negative_numbers = true)]
     sizes: Vec<usize>,
 
     /// Recommend the fastest configuration whose boxes, nineteen of twenty, are within so many
     /// millimetres of where the base has them in f64.
-    #[arg(long, value_name = "MM", conflicts_with = "min_iou", value_parser = super::tradeoff::millimetres)]
+    #[arg(long, value_name = "MM", conflicts_with = "min_iou", value_parser = millimetres)]
+    #[arg(allow_negative_numbers = true)]
     max_shift_mm: Option<f64>,
 
     /// Recommend the fastest configuration whose mean overlap with the labels is at least this.
-    #[arg(long, value_name = "IOU", value_parser = fraction)]
-    min_iou: Option<f32>,
+    #[arg(long, value_name = "IOU", value_parser = exact_fraction)]
+    #[arg(allow_negative_numbers = true)]
+    min_iou: Option<f64>,
 
     /// The adapter to measure beside the CPU: `auto` for the best, be it software; its index in
     /// `smr-gpu devices`, or part of its name; `cpu` for none.
@@ -106,6 +108,10 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let mut pictures = read_labels(&args.data, &classes, &mut outputs)?;
     outputs.check_all(extensions.map(file))?;
     pictures.truncate(args.limit as usize);
+    if args.min_iou.is_some() && pictures.iter().all(|picture| picture.snaps.is_empty()) {
+        let none = "--min-iou: expected pictures with labelled snaps, got none";
+        return Err(Failure::new(Exit::Inputs, none));
+    }
 
     let stopped = Arc::new(AtomicBool::new(false));
     let stop = stopped.clone();
@@ -113,7 +119,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     if let Err(e) = handler {
         tell(format!("Ctrl-C will lose what was measured: {e}"));
     }
-    let plan = setups::Plan::new(&weights, &args.sizes, gpu.as_ref());
+    let plan = setups::Plan::new(&weights, &args.sizes, gpu.as_ref(), pictures.len());
     let table = measure::measure(&plan, &pictures, &classes, &stopped)?;
 
     if table.stopped && table.rows.is_empty() {
@@ -133,7 +139,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     }
     let limit = match (args.max_shift_mm, args.min_iou) {
         (Some(mm), _) => Limit::ShiftMm(mm),
-        (None, Some(iou)) => Limit::Iou(iou.into()),
+        (None, Some(iou)) => Limit::Iou(iou),
         (None, None) => Limit::ShiftMm(SHIFT_MM),
     };
     line("")?;
@@ -163,14 +169,15 @@ fn classes_of(weights: &Path) -> Result<Vec<String>, Failure> {
     Ok(weights.config().classes.clone())
 }
 
-/// The configuration that `detect --tradeoff` takes from a table.
+/// The configuration that `detect --tradeoff` takes from a table: weights, too.
 ///
 /// # Errors
 /// [`Exit::Usage`] for a table without a setup that fits, or that was measured elsewhere.
-pub(super) fn chosen(table: &Path, limit: Limit, given: Config) -> Result<Config, Failure> {
+pub(super) fn chosen(table: &Path, limit: Limit, given: &DetectorArgs) -> Result<Config, Failure> {
     let usage = |e: smr_gpu::Error| Failure::usage(format!("--tradeoff: {e}"));
     let table = Table::open(table).map_err(usage)?;
     let setup = &table.choose(limit).map_err(usage)?.setup;
+    let given = given.config_with(setups::weights_of(setup)?)?;
     let (config, place) = configured(setup, given)?;
     let digest = setups::digest_of(&config)?;
     table.check(setup, place.as_ref(), &digest).map_err(usage)?;

@@ -10,7 +10,7 @@ use super::super::exit::{Exit, Failure};
 use super::super::output::line;
 use super::super::source::Source;
 use super::super::{detector, picture};
-use super::setups::configured;
+use super::setups::{configured, weights_of};
 
 /// Detect in one picture and print the process's peak resident memory in bytes.
 #[derive(Debug, clap::Args)]
@@ -25,7 +25,7 @@ pub(in crate::cli) struct Args {
 pub(in crate::cli) fn run(args: Args) -> Result<Exit, Failure> {
     let setup: Setup =
         serde_json::from_str(&args.setup).map_err(|e| Failure::usage(e.to_string()))?;
-    let (config, _) = configured(&setup, Config::new(""))?;
+    let (config, _) = configured(&setup, Config::new(weights_of(&setup)?))?;
     let detector = detector::open(config)?;
     let source = Source::File(args.picture);
     let picture = picture::read(&source).map_err(|e| Failure::new(Exit::Inputs, e))?;

@@ -11,6 +11,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use smr_gpu::tradeoff::{Measured, Table};
 
 use super::super::draw::FONT;
+use super::super::output::count;
 
 /// Width of the picture, and of its height what does not depend on the front's length.
 const WIDTH: u32 = 1200;
@@ -63,8 +64,8 @@ fn place(row: &Measured, top: f64) -> (f64, f64) {
     (row.wall_ms.median, if shift.is_finite() { shift.max(LEAST_MM) } else { top })
 }
 
-/// The decades that hold all of `values`, with some room.
-fn decades(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
+/// From below the least to above the greatest of `values`.
+fn range(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
     let low = values.clone().fold(f64::INFINITY, f64::min);
     let high = values.fold(f64::NEG_INFINITY, f64::max);
     if low.is_finite() && high.is_finite() { (low / 1.5, high * 1.5) } else { (1.0, 10.0) }
@@ -80,11 +81,11 @@ where
     root.fill(&WHITE)?;
     let (upper, key) = root.split_vertically(HEIGHT);
     let finite = table.rows.iter().map(Measured::shift_mm).filter(|mm| mm.is_finite());
-    let (y0, y1) = decades(finite.map(|mm| mm.max(LEAST_MM)));
-    let (x0, x1) = decades(table.rows.iter().map(|row| row.wall_ms.median));
+    let (y0, y1) = range(finite.map(|mm| mm.max(LEAST_MM)));
+    let (x0, x1) = range(table.rows.iter().map(|row| row.wall_ms.median));
     // One more line for what has no finite shift.
     let top = y1 * 2.0;
-    let title = format!("Error against run time, {} pictures", table.pictures);
+    let title = format!("Error against run time, {}", count(table.pictures, "picture"));
     let mut chart = ChartBuilder::on(&upper)
         .caption(title, (FAMILY, 24))
         .margin(16)

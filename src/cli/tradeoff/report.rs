@@ -4,6 +4,8 @@ use std::fmt::Write;
 
 use smr_gpu::tradeoff::{Measured, Spread, Table};
 
+use super::super::output::count;
+
 /// The largest relative error of a stage.
 fn stage_error(row: &Measured) -> Option<f64> {
     row.stages.iter().map(|s| s.relative_l2).reduce(f64::max)
@@ -33,9 +35,9 @@ pub(super) fn markdown(table: &Table) -> String {
     // Writing to a string cannot fail.
     let _ = writeln!(
         text,
-        "{} pictures; bold: nothing else is both faster and nearer. Shifts are from {} in f64: median / \
+        "{}; bold: nothing else is both faster and nearer. Shifts are from {} in f64: median / \
          95th percentile / worst.\n",
-        table.pictures,
+        count(table.pictures, "picture"),
         table.base.what()
     );
     text.push_str(

@@ -16,7 +16,7 @@ use super::super::exit::{Exit, Failure};
 const FAMILIES: [&[&str]; 3] =
     [&["conv2d/direct", "conv2d/split"], &["conv2d/winograd"], &["conv2d/planar", "linear/planar"]];
 /// Pictures at a time, beside one.
-const BATCH: usize = 4;
+pub(super) const BATCH: usize = 4;
 /// Combinations that are measured at most.
 const MOST_COMBINED: usize = 16;
 /// This machine's cores, as `--device` takes them.
@@ -35,11 +35,12 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    /// From the weights, with their files, the sizes and the adapter, if there is one.
+    /// From the weights, with their files, the sizes, the adapter, if there is one, and the number of pictures.
     pub fn new(
         weights: &[(String, PathBuf, String)],
         sizes: &[usize],
         gpu: Option<&(Arc<Gpu>, Device)>,
+        pictures: usize,
     ) -> Self {
         // `detect --tradeoff` opens the adapter under the same name.
         let device = match gpu {
@@ -61,7 +62,9 @@ impl Plan {
         );
         single.extend(sizes.iter().map(|size| Setup { size: Some(*size), ..base.clone() }));
         let networks = single.clone();
-        single.push(Setup { batch: BATCH, ..base.clone() });
+        if pictures >= BATCH {
+            single.push(Setup { batch: BATCH, ..base.clone() });
+        }
         if gpu.is_some() {
             single.push(Setup { precision: Precision::F16, ..base.clone() });
             single.extend(FAMILIES.map(|family| {
@@ -157,15 +160,22 @@ pub(super) fn digest_of(config: &Config) -> Result<String, Failure> {
     }
 }
 
-/// `config` with what a setup says, and the adapter that it runs on.
+/// The file of a setup's weights.
 ///
 /// # Errors
-/// What opening the adapter and looking for the weights return.
+/// [`Exit::Weights`] if there is none.
+pub(super) fn weights_of(setup: &Setup) -> Result<PathBuf, Failure> {
+    weight_file(Some(Path::new(&setup.weights)))
+}
+
+/// `config` with what a setup says besides its weights, and the adapter that it runs on.
+///
+/// # Errors
+/// What opening the adapter returns.
 pub(in crate::cli) fn configured(
     setup: &Setup,
     mut config: Config,
 ) -> Result<(Config, Option<Place>), Failure> {
-    config.weights = WeightSource::File(weight_file(Some(Path::new(&setup.weights)))?);
     config.input_size = setup.size;
     config.precision = setup.precision;
     config.device = setup.device.parse::<Device>()?;
@@ -199,7 +209,10 @@ mod tests {
     #[test]
     fn enough_is_measured_and_nothing_twice() {
         let weights = ["large", "small"].map(|w| (w.to_owned(), PathBuf::new(), String::new()));
-        let plan = Plan::new(&weights, &[160, 192, 224, 256, 288, 384], None);
+        let sizes = [160, 192, 224, 256, 288, 384];
+        // Three pictures are no four at a time.
+        assert_eq!(Plan::new(&weights, &sizes, None, 3).single.len(), 8);
+        let plan = Plan::new(&weights, &sizes, None, 4);
         assert_eq!(plan.single.len(), 9);
         assert!(plan.single.iter().all(|s| s.device == "cpu" && s.kernels.is_empty()));
         let time =

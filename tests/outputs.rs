@@ -435,3 +435,30 @@ fn presses_that_determine_no_sensor_are_refused() {
     }
     assert!(contents(folder.path()) == before);
 }
+
+/// Whatever becomes of what is printed.
+#[test]
+fn a_fitted_sensor_is_kept() {
+    let folder = folder();
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/gelsight_ball_presses");
+    let presses = folder.path().join("my presses");
+    fs::create_dir(&presses).expect("created");
+    let table = fs::read_to_string(source.join("presses.csv")).expect("the table");
+    // A few of them: time goes with their number.
+    let mut few = table.lines().take(1).collect::<Vec<_>>();
+    few.extend(table.lines().skip(1).step_by(5));
+    fs::write(presses.join("presses.csv"), few.join("\n")).expect("written");
+    let names = few[1..].iter().filter_map(|line| line.split(',').next());
+    for name in names.chain(["background.png"]) {
+        fs::copy(source.join(name), presses.join(name)).expect("copied");
+    }
+    let line = "exec \"$0\" calibrate --presses 'my presses' --mm-per-pixel 0.0295 --write s.json \
+                --optics o.json --save p.png >&-";
+    let ran = shell(folder.path(), line).expect(6);
+    ran.tells("s.json: for --sensor").tells("o.json: 1 sensor").tells("stdout: closed");
+    let optics = fs::read_to_string(folder.path().join("o.json")).expect("optics");
+    assert!(optics.contains(r#""name":"my presses""#), "{optics}");
+    image::open(folder.path().join("p.png")).expect("a picture");
+    let press = format!("my presses/{}", few[1].split(',').next().expect("a name"));
+    detect(folder.path(), &[&press, "--sensor", "s.json"]).expect(0);
+}

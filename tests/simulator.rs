@@ -17,7 +17,7 @@ use smr_gpu::simulator::distractors::{Distractor, Part};
 use smr_gpu::simulator::frame::{FIELD_MM, Frame};
 use smr_gpu::simulator::gel::{Elasticity, Grid, Layer};
 use smr_gpu::simulator::given::Given;
-use smr_gpu::simulator::label::{imprints, visible_share};
+use smr_gpu::simulator::label::{LEAST_IMPRINT_MM, Label, imprints, visible_share};
 use smr_gpu::simulator::lamps::Lamps;
 use smr_gpu::simulator::look::Sideways;
 use smr_gpu::simulator::markers::Markers;
@@ -25,9 +25,7 @@ use smr_gpu::simulator::optics::{
     Fit, NORMAL_TERMS, POSITION_TERMS, Shading, TERMS, measured_sensors, normal_terms,
     position_terms,
 };
-use smr_gpu::simulator::render::{
-    GRID, LEAST_IMPRINT_MM, Label, Rendered, Renderer, Request, STOP, contact_grid,
-};
+use smr_gpu::simulator::render::{GRID, Rendered, Renderer, Request, STOP, contact_grid};
 use smr_gpu::simulator::scene::{Body, Mix, Placed, Scene};
 use smr_gpu::simulator::shadow::{Ray, cast};
 use smr_gpu::simulator::smooth;

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use image::RgbImage;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-use serde::{Deserialize, Serialize};
 
 use super::Error;
 use super::camera::Camera;
@@ -16,13 +15,12 @@ use super::distractors::Part;
 use super::frame::Frame;
 use super::gel::{Elasticity, Grid, Layer};
 use super::given::Given;
-use super::label::{Imprint, PixelBox, imprints, visible_share};
+use super::label::{Label, PixelBox, imprints, labels, visible_share};
 use super::layout::Region;
 use super::look::{Light, Look, Painter, Sideways};
 use super::press::Press;
-use super::scene::{Mix, Placed, Scene};
+use super::scene::{Mix, Scene};
 use super::smooth;
-use super::snaps::{Kind, Snap};
 use super::surface::Surface;
 
 /// Cells of a plain picture's contact: the gel, two pixels a cell, and half as much again of free
@@ -31,10 +29,6 @@ pub const GRID: Grid = Grid { cells: 640, spacing_mm: 2.0 * Frame::PAPER.mm_per_
 
 /// When the contact is good enough: half a micrometre.
 pub const STOP: Stop = Stop { tolerance_mm: 5e-4, max_iterations: 150 };
-
-/// An imprint's longer side must be at least this, in millimetres, or the scene is drawn anew: no
-/// snap is visible without a label.
-pub const LEAST_IMPRINT_MM: f64 = 1.5;
 
 /// Least share of a wide picture's snap that lies in the picture.
 const LEAST_VISIBLE: f64 = 0.25;
@@ -79,37 +73,6 @@ impl Request {
     pub fn wide(mix: Mix) -> Self {
         Self { mix, conditions: Distribution::Wide, ..Self::default() }
     }
-}
-
-/// A labelled snap.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Label {
-    /// Its kind.
-    pub kind: Kind,
-    /// Box round the imprint, `x0, y0, x1, y1` in pixels.
-    pub pixel_box: PixelBox,
-    /// Area in contact, in square pixels.
-    pub area_px: f64,
-    /// For A the direction from the root of the arm to its barbed tip, from x towards y, in degrees
-    /// above −180 and up to 180; also of a hook on its side. B has none.
-    pub yaw_deg: Option<f64>,
-    /// Depth of the highest point below the undeformed surface, in millimetres.
-    pub depth_mm: f64,
-    /// Middle of the box in millimetres from the middle of the gel that the sensor's frames show, x
-    /// right, y down, on the gel: corrected for the lens.
-    pub center_mm: [f64; 2],
-    /// Whether the whole snap lies in the picture.
-    pub whole: bool,
-    /// Share of the snap below the undeformed surface that lies in the picture.
-    pub visible: f64,
-    /// Number of slots, of B.
-    pub slots: Option<u32>,
-    /// Narrowest diameter of the hole in millimetres, of B.
-    pub hole_mm: Option<f64>,
-    /// Whether the wall that A grows from presses too; it is not in the box.
-    pub wall: bool,
-    /// Whether A lies on its side.
-    pub on_side: bool,
 }
 
 /// A picture with its labels.
@@ -374,53 +337,4 @@ fn plain_conditions(look: &Look, layer: Layer, window: PixelBox) -> Conditions {
         snr_db: look.camera.snr_db,
         window,
     }
-}
-
-/// Labels of all snaps, or `None` if one is not to be seen; millimetres begin in the middle of `gel`.
-fn labels(
-    snaps: &[Placed<Snap>],
-    found: &[Option<Imprint>],
-    camera: &Camera,
-    window: PixelBox,
-    gel: PixelBox,
-) -> Option<Vec<Label>> {
-    snaps
-        .iter()
-        .zip(found)
-        .map(|(snap, imprint)| label(snap, (*imprint)?, camera, window, gel))
-        .collect()
-}
-
-fn label(
-    snap: &Placed<Snap>,
-    imprint: Imprint,
-    camera: &Camera,
-    window: PixelBox,
-    gel: PixelBox,
-) -> Option<Label> {
-    let [x0, y0, x1, y1] = imprint.pixel_box;
-    if (x1 - x0).max(y1 - y0) < LEAST_IMPRINT_MM / camera.frame.mm_per_pixel {
-        return None;
-    }
-    let visible = visible_share(snap, camera, window);
-    let place = |[x0, y0, x1, y1]: PixelBox| camera.flat_place(0.5 * (x0 + x1), 0.5 * (y0 + y1));
-    let ([x, y], [x_gel, y_gel]) = (place(imprint.pixel_box), place(gel));
-    let (hook, stud) = match &snap.part {
-        Snap::Hook(hook) => (Some(hook), None),
-        Snap::Stud(stud) => (None, Some(stud)),
-    };
-    Some(Label {
-        kind: snap.part.kind(),
-        pixel_box: imprint.pixel_box,
-        area_px: imprint.area_px,
-        yaw_deg: hook.map(|_| snap.yaw.to_degrees()),
-        depth_mm: snap.depth_mm,
-        center_mm: [x - x_gel, y - y_gel],
-        whole: visible == 1.0,
-        visible,
-        slots: stud.map(|stud| stud.slots),
-        hole_mm: stud.map(|stud| stud.hole_mm()),
-        wall: hook.is_some_and(|hook| hook.wall),
-        on_side: hook.is_some_and(|hook| hook.on_side.is_some()),
-    })
 }

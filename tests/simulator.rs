@@ -580,6 +580,40 @@ fn the_papers_frames_show_gel_in_the_middle() {
     assert!(brightest(0..440) < 40 && brightest(1480..1920) < 40 && brightest(900..1000) > 60);
 }
 
+/// A gel in a corner of a large frame is pressed as one in the middle, in as fine cells.
+#[test]
+fn a_gel_in_a_corner_is_drawn_as_one_in_the_middle() {
+    let drawn = |seed: u64, x: u32, y: u32| {
+        let text = format!(
+            r#"{{ "name": "a", "frame": [1600, 1200], "mm_per_pixel": 0.08,
+                "gel": {{ "x": {x}, "y": {y}, "width": 250, "height": 250 }} }}"#
+        );
+        let given = Given::new(Sensor::parse(&text).expect("a sensor")).expect("one to draw");
+        let request = Request {
+            sensor: Some(std::sync::Arc::new(given)),
+            forced: "mild,depth=0.5".parse().expect("conditions"),
+            ..Request::wide(Mix::B)
+        };
+        Renderer::new().render(seed, &request).expect("a picture").labels
+    };
+    let mut whole = 0;
+    for seed in 0..2 {
+        let (middle, corner) = (drawn(seed, 675, 475), drawn(seed, 1350, 950));
+        assert!(!middle.is_empty() && middle.len() == corner.len());
+        for (a, b) in middle.iter().zip(&corner) {
+            // 54 and 38 mm further out a dent of 0.5 mm is seen 0.44 mm further out at most, from 62.5 mm.
+            let out = [0, 1].map(|axis| b.center_mm[axis] - a.center_mm[axis]);
+            assert!(out.into_iter().all(|out| (0.0..0.45).contains(&out)), "{out:?}");
+            if a.whole && b.whole {
+                // The same cells touch.
+                assert_close(b.area_px, a.area_px, 1e-6, "area");
+                whole += 1;
+            }
+        }
+    }
+    assert!(whole >= 2, "{whole} snaps are whole");
+}
+
 #[test]
 fn a_broken_calibration_names_its_file() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -1,4 +1,4 @@
-//! The camera: a pinhole above the gel's centre, its lens' distortion, defocus, noise, 8 bits.
+//! The camera: a pinhole above the picture's middle, its lens' distortion, defocus, noise, 8 bits.
 
 use rand::Rng;
 use rand_pcg::Pcg64;
@@ -13,6 +13,9 @@ pub struct Camera {
     pub frame: Frame,
     /// Distance from the pinhole to the undeformed surface, in millimetres.
     pub distance_mm: f64,
+    /// Where on the flat gel millimetres begin, in millimetres from the middle of the picture, which the
+    /// lens looks at: the middle of a gel that fills only a part of the picture.
+    pub origin_mm: [f64; 2],
     /// Radial distortion κ: a place at the distance r from the picture's middle, in half diagonals,
     /// shows what a pinhole would show at r (1 + κ r²).
     pub distortion: f64,
@@ -29,6 +32,7 @@ impl Default for Camera {
         Self {
             frame: Frame::PAPER,
             distance_mm: 125.0,
+            origin_mm: [0.0; 2],
             distortion: 0.0,
             blur_px: 1.0,
             snr_db: 45.0,
@@ -38,29 +42,31 @@ impl Default for Camera {
 }
 
 impl Camera {
-    /// Pixel at which a point of the surface appears, from its place in millimetres from the
-    /// centre and its depth: a dent comes nearer to the camera and moves outwards by
+    /// Pixel at which a point of the surface appears, from its place in millimetres from
+    /// [`origin_mm`](Self::origin_mm) and its depth: a dent comes nearer to the camera and moves outwards by
     /// `distance / (distance − depth)`.
     pub fn project(&self, x_mm: f64, y_mm: f64, depth_mm: f64) -> [f64; 2] {
         let scale = self.distance_mm / (self.distance_mm - depth_mm) / self.frame.mm_per_pixel;
         let [width, height] = self.frame.size_px();
-        let (dx, dy) = (x_mm * scale, y_mm * scale);
+        let [left, top] = self.origin_mm;
+        let (dx, dy) = ((x_mm + left) * scale, (y_mm + top) * scale);
         let seen = ((dx * dx + dy * dy) * self.per_half_diagonal()).sqrt();
         let shrink = if seen > 0.0 { self.undistorted(seen) / seen } else { 1.0 };
         [dx * shrink + width / 2.0, dy * shrink + height / 2.0]
     }
 
-    /// Place on a flat gel, in millimetres from its middle, that is seen at this place of the
-    /// picture.
+    /// Place on a flat gel, in millimetres from [`origin_mm`](Self::origin_mm), that is seen at this
+    /// place of the picture.
     pub fn flat_place(&self, x_px: f64, y_px: f64) -> [f64; 2] {
         let [x, y] = self.frame.to_mm([x_px, y_px]);
+        let [left, top] = self.origin_mm;
         if self.distortion == 0.0 {
-            return [x, y];
+            return [x - left, y - top];
         }
         let mm = self.frame.mm_per_pixel;
         let r2 = (x * x + y * y) / (mm * mm) * self.per_half_diagonal();
         let stretch = 1.0 + self.distortion * r2;
-        [x * stretch, y * stretch]
+        [x * stretch - left, y * stretch - top]
     }
 
     /// The distance from the middle, in half diagonals, that shows what a pinhole would show at `seen`:

@@ -122,18 +122,17 @@ pub fn visible_share(snap: &Placed<Snap>, camera: &Camera, window: PixelBox) -> 
     if all == 0 { 0.0 } else { f64::from(inside) / f64::from(all) }
 }
 
-/// Labels of all snaps, or `None` if one is not to be seen; millimetres begin in the middle of `gel`.
+/// Labels of all snaps, or `None` if one is not to be seen.
 pub(super) fn labels(
     snaps: &[Placed<Snap>],
     found: &[Option<Imprint>],
     camera: &Camera,
     window: PixelBox,
-    gel: PixelBox,
 ) -> Option<Vec<Label>> {
     snaps
         .iter()
         .zip(found)
-        .map(|(snap, imprint)| label(snap, (*imprint)?, camera, window, gel))
+        .map(|(snap, imprint)| label(snap, (*imprint)?, camera, window))
         .collect()
 }
 
@@ -142,15 +141,12 @@ fn label(
     imprint: Imprint,
     camera: &Camera,
     window: PixelBox,
-    gel: PixelBox,
 ) -> Option<Label> {
     let [x0, y0, x1, y1] = imprint.pixel_box;
     if (x1 - x0).max(y1 - y0) < LEAST_IMPRINT_MM / camera.frame.mm_per_pixel {
         return None;
     }
     let visible = visible_share(snap, camera, window);
-    let place = |[x0, y0, x1, y1]: PixelBox| camera.flat_place(0.5 * (x0 + x1), 0.5 * (y0 + y1));
-    let ([x, y], [x_gel, y_gel]) = (place(imprint.pixel_box), place(gel));
     let (hook, stud) = match &snap.part {
         Snap::Hook(hook) => (Some(hook), None),
         Snap::Stud(stud) => (None, Some(stud)),
@@ -161,7 +157,7 @@ fn label(
         area_px: imprint.area_px,
         yaw_deg: hook.map(|_| snap.yaw.to_degrees()),
         depth_mm: snap.depth_mm,
-        center_mm: [x - x_gel, y - y_gel],
+        center_mm: camera.flat_place(0.5 * (x0 + x1), 0.5 * (y0 + y1)),
         whole: visible == 1.0,
         visible,
         slots: stud.map(|stud| stud.slots),
@@ -169,4 +165,69 @@ fn label(
         wall: hook.is_some_and(|hook| hook.wall),
         on_side: hook.is_some_and(|hook| hook.on_side.is_some()),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use rand::SeedableRng;
+    use rand_pcg::Pcg64;
+
+    use super::*;
+    use crate::simulator::frame::Frame;
+    use crate::simulator::scene::Scene;
+    use crate::simulator::smooth;
+
+    /// The label of a snap on a gel of 16 mm at the right of a frame of 32 mm, seen through a lens that
+    /// bends its corners by a fifth; how deep the gel goes, and the middle of what goes deepest in pixels.
+    fn pressed(kind: Kind, center_mm: [f64; 2], yaw: f64) -> (Label, f64, [f64; 2]) {
+        let frame = Frame { width: 640, height: 480, mm_per_pixel: 0.05 };
+        let mut camera = Camera { frame, distortion: 0.2, ..Camera::default() };
+        let window = [320.0, 80.0, 640.0, 400.0];
+        camera.origin_mm = camera.flat_place(480.0, 240.0);
+        let part = Snap::sample(&mut Pcg64::seed_from_u64(1), kind);
+        let snap = Placed { part, center_mm, yaw, tilt: [0.0; 2], depth_mm: 1.1 };
+        let scene = Scene { snaps: vec![snap], distractors: Vec::new() };
+        let grid = Grid { cells: 512, spacing_mm: 0.06 };
+        let body = scene.body(grid, [20.0; 2]);
+        let contact = smooth::pressed(grid, &body.penetration, 0.4);
+        let found = imprints(&body, &contact, grid, &camera, window, 1);
+        let label = labels(&scene.snaps, &found, &camera, window).expect("it shows").remove(0);
+        let deepest = contact.displacement.iter().fold(0.0f32, |a, &b| a.max(b));
+        let cells = contact.displacement.iter().enumerate().filter(|(_, d)| **d > deepest - 0.1);
+        let seen: Vec<_> = cells
+            .map(|(i, &d)| {
+                let (x, y) = (grid.position(i % grid.cells), grid.position(i / grid.cells));
+                camera.project(x, y, d.into())
+            })
+            .collect();
+        let mean = |axis: usize| seen.iter().map(|at| at[axis]).sum::<f64>() / seen.len() as f64;
+        (label, deepest.into(), [mean(0), mean(1)])
+    }
+
+    #[test]
+    fn a_label_says_where_a_snap_is_and_how_deep() {
+        for center in [[0.0, 0.0], [4.0, -3.0], [-4.0, 2.0]] {
+            let (label, deepest, _) = pressed(Kind::B, center, 0.4);
+            // The lens bends the two sides of a box differently, by a tenth of a millimetre; without the
+            // lens or the gel's place in the frame it is half a millimetre and more.
+            let [x, y] = [0, 1].map(|axis| label.center_mm[axis] - center[axis]);
+            assert!(x.hypot(y) < 0.2, "{:?}, expected {center:?}", label.center_mm);
+            assert!((label.depth_mm - deepest).abs() < 0.01, "{} of {deepest}", label.depth_mm);
+        }
+    }
+
+    #[test]
+    fn a_hook_s_yaw_leads_from_its_box_to_its_barb() {
+        for turn in 0..12 {
+            let (label, _, barb) = pressed(Kind::A, [1.0, 0.5], f64::from(turn) * PI / 6.0 - PI);
+            let [x0, y0, x1, y1] = label.pixel_box;
+            let way = [barb[0] - (x0 + x1) / 2.0, barb[1] - (y0 + y1) / 2.0];
+            let yaw = label.yaw_deg.expect("a hook has one");
+            let off = f64::atan2(way[1], way[0]).to_degrees() - yaw;
+            let off = (off + 540.0).rem_euclid(360.0) - 180.0;
+            assert!(off.abs() < 10.0, "the barb lies {off} degrees beside {yaw}");
+        }
+    }
 }

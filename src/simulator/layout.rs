@@ -49,7 +49,7 @@ const PARTS: [Part; 20] = [
     Part::Rib,
 ];
 
-/// A part of the gel: least x and y, greatest x and y in millimetres from the picture's middle.
+/// A part of the gel: least x and y, greatest x and y in millimetres from the gel's middle.
 pub type Region = [f64; 4];
 
 /// A turned rectangle.

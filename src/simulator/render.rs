@@ -158,7 +158,7 @@ impl Renderer {
         let contact = solve(&mut plan.elasticity, &body.penetration, STOP);
         let found = imprints(&body, &contact, GRID, &look.camera, window, scene.snaps.len());
         // What is too faint has no label.
-        let labels = labels(&scene.snaps, &found, &look.camera, window, window).unwrap_or_default();
+        let labels = labels(&scene.snaps, &found, &look.camera, window).unwrap_or_default();
         let surface = Surface::new(GRID, contact.displacement);
         let mut rng = Pcg64::seed_from_u64(noise);
         let picture = self.painter.paint(&look, &surface, None, &mut rng);
@@ -181,7 +181,7 @@ impl Renderer {
             let body = scene.body(GRID, frame.size_mm());
             let contact = solve(&mut plan.elasticity, &body.penetration, STOP);
             let found = imprints(&body, &contact, GRID, &camera, window, scene.snaps.len());
-            let found = labels(&scene.snaps, &found, &camera, window, window);
+            let found = labels(&scene.snaps, &found, &camera, window);
             let Some(labels) = found else { continue };
             let surface = Surface::new(GRID, contact.displacement);
             let look = Look::plain(&mut rng, camera);
@@ -202,30 +202,35 @@ impl Renderer {
         sensor: &mut Pcg64,
     ) -> Result<Rendered, Error> {
         let window = conditions.window;
-        let visible = region(&frame, window);
         // A housing that is drawn hides gel; of a given sensor the frame shows it there alone.
         let [width, height] = frame.size_px();
         let gel = if request.sensor.is_some() { window } else { [0.0, 0.0, width, height] };
-        let field_mm = match &request.sensor {
-            // A part of the frame shows gel, not always the middle one, which the grid's is.
-            Some(_) => [0, 1].map(|axis| 2.0 * f64::max(-visible[axis], visible[axis + 2])),
-            None => frame.size_mm(),
-        };
+        let middle = [(gel[0] + gel[2]) / 2.0, (gel[1] + gel[3]) / 2.0];
+        let [left, top, right, bottom] = region(&frame, gel, middle);
+        let field_mm = [right - left, bottom - top];
+        let visible = region(&frame, window, middle);
         let longer_mm = f64::max(field_mm[0], field_mm[1]);
-        let camera = Camera {
+        let mut camera = Camera {
             frame,
             distance_mm: if request.forced.mild {
                 125.0 * longer_mm / Frame::PAPER.longer_mm()
             } else {
                 longer_mm * sensor.random_range(1.5..4.0)
             },
+            origin_mm: [0.0; 2],
             distortion: conditions.distortion,
             blur_px: conditions.blur_px,
             snr_db: conditions.snr_db,
             read_noise: sensor.random_range(0.3..1.5),
         };
         let layer = Layer { thickness_mm: conditions.gel_mm, ..Layer::default() };
-        let gel_mm = field_mm.map(|side| side + 2.0 * BEYOND_MM);
+        // Millimetres begin in the middle of the gel, as the contact's grid does.
+        camera.origin_mm = camera.flat_place(middle[0], middle[1]);
+        let shown_mm = match &request.sensor {
+            Some(_) => shown(&camera, gel, field_mm),
+            None => field_mm,
+        };
+        let gel_mm = shown_mm.map(|side| side + 2.0 * BEYOND_MM);
         let grid = contact_grid(&frame, gel_mm);
         if self
             .wide
@@ -255,7 +260,7 @@ impl Renderer {
                 Mechanics::Smoothed => smooth::pressed(grid, &body.penetration, falloff_mm),
             };
             let found = imprints(&body, &contact, grid, &camera, window, scene.snaps.len());
-            let Some(labels) = labels(&scene.snaps, &found, &camera, window, gel) else { continue };
+            let Some(labels) = labels(&scene.snaps, &found, &camera, window) else { continue };
             let mut look = Look::wide(sensor, camera, &conditions);
             if let Some(given) = &request.sensor {
                 given.dress(&mut look);
@@ -307,10 +312,20 @@ pub fn contact_grid(frame: &Frame, gel_mm: [f64; 2]) -> Grid {
     Grid { cells, spacing_mm: side / cells as f64 }
 }
 
-/// What of the gel a window of the picture shows.
-fn region(frame: &Frame, [x0, y0, x1, y1]: PixelBox) -> Region {
-    let ([left, top], [right, bottom]) = (frame.to_mm([x0, y0]), frame.to_mm([x1, y1]));
-    [left, top, right, bottom]
+/// What of the gel a window of the picture shows, in millimetres from what it shows at `middle`. The
+/// lens is left out: within a window it changes little.
+fn region(frame: &Frame, [x0, y0, x1, y1]: PixelBox, middle: [f64; 2]) -> Region {
+    let [left, top] = frame.to_mm(middle);
+    let ([a, b], [c, d]) = (frame.to_mm([x0, y0]), frame.to_mm([x1, y1]));
+    [a - left, b - top, c - left, d - top]
+}
+
+/// Size about the middle of the gel that holds all that its part of the picture shows: more than
+/// `field_mm` where the lens shows more in the corners.
+fn shown(camera: &Camera, [x0, y0, x1, y1]: PixelBox, field_mm: [f64; 2]) -> [f64; 2] {
+    let corners = [(x0, y0), (x0, y1), (x1, y0), (x1, y1)].map(|(x, y)| camera.flat_place(x, y));
+    [0, 1]
+        .map(|axis| corners.iter().fold(field_mm[axis], |size, at| size.max(2.0 * at[axis].abs())))
 }
 
 fn plain_conditions(look: &Look, layer: Layer, window: PixelBox) -> Conditions {
@@ -336,5 +351,22 @@ fn plain_conditions(look: &Look, layer: Layer, window: PixelBox) -> Conditions {
         distortion: 0.0,
         snr_db: look.camera.snr_db,
         window,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The corners lie half a diagonal from the middle: there the lens shows 1 + κ of the field.
+    #[test]
+    fn what_a_lens_shows_in_the_corners_is_drawn() {
+        let frame = Frame { width: 640, height: 480, mm_per_pixel: 0.05 };
+        for (distortion, size) in [(0.5, [48.0, 36.0]), (0.0, [32.0, 24.0]), (-0.3, [32.0, 24.0])] {
+            let camera = Camera { frame, distortion, ..Camera::default() };
+            let found = shown(&camera, [0.0, 0.0, 640.0, 480.0], frame.size_mm());
+            let off = [0, 1].map(|axis| (found[axis] - size[axis]).abs());
+            assert!(off[0].max(off[1]) < 1e-9, "{distortion}: {found:?}");
+        }
     }
 }

@@ -69,8 +69,8 @@ impl Surface {
     /// The point of the surface that the camera sees where a flat gel would show the point
     /// `x_mm`, `y_mm`.
     ///
-    /// It solves `x = x_mm (1 − depth(x) / distance)`, [`Camera::project`] backwards, in two steps
-    /// from the flat gel. A step shrinks the error by the slope times `x_mm / distance`, which is
+    /// It solves `x = x_mm (1 − depth(x) / distance)` about the middle of the picture,
+    /// [`Camera::project`] backwards, in two steps from the flat gel. A step shrinks the error by the slope times `x_mm / distance`, which is
     /// 0.16 for a slope of 1 at the gel's edge.
     pub fn seen(&self, camera: &Camera, x_mm: f64, y_mm: f64) -> SurfacePoint {
         self.seen_from(camera, x_mm, y_mm, 2).1
@@ -85,6 +85,7 @@ impl Surface {
         y_mm: f64,
         steps: u32,
     ) -> ([f64; 2], SurfacePoint) {
+        let [left, top] = camera.origin_mm;
         let mut place = [x_mm, y_mm];
         let mut point = self.at(x_mm, y_mm);
         for _ in 0..steps {
@@ -92,7 +93,7 @@ impl Surface {
                 break;
             }
             let shrink = 1.0 - f64::from(point.depth) / camera.distance_mm;
-            place = [x_mm * shrink, y_mm * shrink];
+            place = [(x_mm + left) * shrink - left, (y_mm + top) * shrink - top];
             point = self.at(place[0], place[1]);
         }
         (place, point)

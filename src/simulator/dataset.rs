@@ -27,8 +27,9 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::Error;
-use super::conditions::{Conditions, Distribution, Forced};
+use super::conditions::{Conditions, Distribution};
 use super::distractors::Part;
+use super::forced::Forced;
 use super::frame::Frame;
 use super::label::Label;
 use super::render::{Rendered, Renderer, Request};

@@ -4,7 +4,7 @@ use rand::RngExt;
 use rand_pcg::Pcg64;
 
 use super::clutter::Clutter;
-use super::conditions::Forced;
+use super::forced::Forced;
 use super::profile::{rectangle, rounded_edge, smooth_min, stroke};
 use super::snaps::Stud;
 

@@ -8,7 +8,8 @@
 use std::path::PathBuf;
 
 use super::Error;
-use super::conditions::{Conditions, Forced, Optics, Span, TYPICAL_CONTRAST};
+use super::conditions::{Conditions, Optics, TYPICAL_CONTRAST};
+use super::forced::{Forced, Span};
 use super::frame::Frame;
 use super::label::PixelBox;
 use super::look::{Flat, Housing, Light, Look};

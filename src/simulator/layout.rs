@@ -9,8 +9,8 @@ use rand::RngExt;
 use rand::seq::IndexedRandom;
 use rand_pcg::Pcg64;
 
-use super::conditions::Forced;
 use super::distractors::{Distractor, Part};
+use super::forced::Forced;
 use super::scene::{Mix, Placed, Scene, sample_tilt, sample_yaw};
 use super::snaps::{Hook, Kind, Snap};
 

@@ -5,7 +5,7 @@
 //! | parts | [`snaps`], [`distractors`], [`profile`] | height fields of what presses on the gel |
 //! | layout | [`scene`], [`layout`] | draws a plain or a wide scene and makes one rigid body of it |
 //! | mechanics | [`gel`], [`contact`], [`smooth`], [`surface`] | the gel's surface under that body |
-//! | conditions | [`frame`], [`conditions`] | what differs from sensor to sensor, drawn or forced |
+//! | conditions | [`frame`], [`conditions`], [`forced`] | what differs from sensor to sensor, drawn or forced |
 //! | light | [`optics`], [`lamps`], [`shadow`] | brightness of a slope, measured or modelled; shadows |
 //! | coating | [`coating`], [`markers`] | the coating, its wear and its dust; its print |
 //! | camera | [`camera`] | parallax, distortion, defocus, noise, 8 bits |
@@ -45,6 +45,7 @@ pub mod conditions;
 pub mod contact;
 pub mod dataset;
 pub mod distractors;
+pub mod forced;
 pub mod frame;
 pub mod gel;
 pub mod given;

@@ -8,10 +8,11 @@ use rand_pcg::Pcg64;
 
 use super::Error;
 use super::camera::Camera;
-use super::conditions::{Conditions, Distribution, Forced, Mechanics, Optics, TYPICAL_CONTRAST};
+use super::conditions::{Conditions, Distribution, Mechanics, Optics, TYPICAL_CONTRAST};
 use super::contact::{Contact, Stop, solve};
 use super::dataset::scene_seed;
 use super::distractors::Part;
+use super::forced::Forced;
 use super::frame::Frame;
 use super::gel::{Elasticity, Grid, Layer};
 use super::given::Given;

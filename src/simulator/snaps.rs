@@ -13,7 +13,7 @@ use rand::RngExt;
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
-use super::conditions::{Forced, Span};
+use super::forced::{Forced, Span};
 use super::profile::{rectangle, rounded_edge, smooth_min};
 
 /// A kind of snap joint.

@@ -22,11 +22,11 @@ impl Spot {
     fn each(&self, frame: &Frame, mut f: impl FnMut(usize, f64, [f64; 2])) {
         let (size_px, size_mm) = (frame.size_px(), frame.size_mm());
         let reach = 3.0 * self.radius_mm[0].max(self.radius_mm[1]);
+        let low = frame.to_px(self.center_mm.map(|center| center - reach));
+        let high = frame.to_px(self.center_mm.map(|center| center + reach));
         let range = |axis: usize| {
-            let (center, n, mm) = (self.center_mm[axis], size_px[axis], size_mm[axis]);
-            let low = ((center - reach) / mm + 0.5) * n;
-            let high = ((center + reach) / mm + 0.5) * n;
-            (low.clamp(0.0, n) as usize)..(high.clamp(0.0, n).ceil() as usize)
+            let n = size_px[axis];
+            (low[axis].clamp(0.0, n) as usize)..(high[axis].clamp(0.0, n).ceil() as usize)
         };
         let offset = |axis: usize, index: usize| {
             ((index as f64 + 0.5) / size_px[axis] - 0.5) * size_mm[axis] - self.center_mm[axis]
@@ -279,13 +279,10 @@ fn add_noise(
 
 fn draw_scratch(texture: &mut [f32], frame: &Frame, scratch: &Scratch) {
     let (size_px, size_mm) = (frame.size_px(), frame.size_mm());
-    let px = |[x, y]: [f64; 2]| {
-        [(x / size_mm[0] + 0.5) * size_px[0], (y / size_mm[1] + 0.5) * size_px[1]]
-    };
     let width = scratch.width_mm / size_mm[0] * size_px[0];
     let reach = (2.5 * width).ceil();
     for pair in scratch.points.windows(2) {
-        let [a, b] = [px(pair[0]), px(pair[1])];
+        let [a, b] = [frame.to_px(pair[0]), frame.to_px(pair[1])];
         let steps = (b[0] - a[0]).hypot(b[1] - a[1]).ceil().max(1.0);
         for step in 0..steps as usize {
             let t = step as f64 / steps;

@@ -236,8 +236,7 @@ fn parse_frame(text: &str) -> Option<Frame> {
         mm_per_pixel: mm.parse().ok()?,
     };
     let in_range = (FIELD_MM[0]..=FIELD_MM[1]).contains(&frame.longer_mm());
-    let drawable = frame.width.min(frame.height) >= 32 && frame.longer_px() <= 4000;
-    (in_range && drawable).then_some(frame)
+    (in_range && frame.is_drawable()).then_some(frame)
 }
 
 impl FromStr for Forced {

@@ -2,8 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::sensor;
+
 /// Shortest and longest field of view in millimetres along the frame's longer side.
-pub const FIELD_MM: [f64; 2] = [10.0, 60.0];
+pub const FIELD_MM: [f64; 2] = [sensor::FIELD_MM[0] as f64, sensor::FIELD_MM[1] as f64];
+/// Shortest and longest side of a frame that is drawn, in pixels.
+pub const SIDE_PX: [usize; 2] = [32, 4000];
 
 /// A sensor's frame: the picture's size and its scale on the undeformed gel.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -42,14 +46,25 @@ impl Frame {
         self.width.max(self.height)
     }
 
+    /// Whether its sides are within [`SIDE_PX`].
+    pub fn is_drawable(&self) -> bool {
+        [self.width, self.height].iter().all(|side| (SIDE_PX[0]..=SIDE_PX[1]).contains(side))
+    }
+
     /// Millimetres along the longer side.
     pub fn longer_mm(&self) -> f64 {
         self.longer_px() as f64 * self.mm_per_pixel
     }
 
-    /// Place on the flat gel, in millimetres from its middle, that a place in the picture shows.
+    /// Place on the flat gel, in millimetres from the frame's middle, that a place in the picture shows.
     pub fn to_mm(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [width, height] = self.size_px();
         [(x - width / 2.0) * self.mm_per_pixel, (y - height / 2.0) * self.mm_per_pixel]
+    }
+
+    /// Place in the picture that shows a place on the flat gel, [`to_mm`](Self::to_mm) backwards.
+    pub fn to_px(&self, place_mm: [f64; 2]) -> [f64; 2] {
+        let (size_px, size_mm) = (self.size_px(), self.size_mm());
+        [0, 1].map(|axis| (place_mm[axis] / size_mm[axis] + 0.5) * size_px[axis])
     }
 }

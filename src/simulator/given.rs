@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use super::Error;
 use super::conditions::{Conditions, Optics, TYPICAL_CONTRAST};
 use super::forced::{Forced, Span};
-use super::frame::Frame;
+use super::frame::{Frame, SIDE_PX};
 use super::label::PixelBox;
 use super::look::{Flat, Housing, Light, Look};
 use super::optics::{Channel, Shading};
@@ -19,8 +19,6 @@ use crate::sensor::Sensor;
 
 /// Levels of a housing that nothing shows.
 const DARK: f32 = 8.0;
-/// Longest side of frames that are drawn, in pixels.
-const MAX_SIDE: u32 = 4000;
 
 /// A sensor that pictures are drawn for.
 #[derive(Debug, Clone, PartialEq)]
@@ -49,10 +47,6 @@ impl Given {
         let Some([width, height]) = sensor.frame else {
             return Err(fail("frame: expected one to draw, got none".into()));
         };
-        if width.max(height) > MAX_SIDE || width.min(height) < 32 {
-            let expected = format!("sides of 32 to {MAX_SIDE} pixels to draw");
-            return Err(fail(format!("frame: expected {expected}, got {width} × {height}")));
-        }
         let view = sensor.view([width, height], None)?;
         let gel = view.part;
         let frame = Frame {
@@ -61,6 +55,11 @@ impl Given {
             // As many digits as single precision has.
             mm_per_pixel: (f64::from(view.mm_per_pixel) * 1e7).round() / 1e7,
         };
+        if !frame.is_drawable() {
+            let [least, most] = SIDE_PX;
+            let expected = format!("sides of {least} to {most} pixels to draw");
+            return Err(fail(format!("frame: expected {expected}, got {width} × {height}")));
+        }
         let window = [gel.x, gel.y, gel.x + gel.width, gel.y + gel.height].map(f64::from);
         let shading = sensor.light.map(|light| {
             // There y is in halves of the width, in a look in halves of the height.

@@ -10,6 +10,7 @@ use glam::{DVec3, Vec3};
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
+use super::optics::over_directions;
 use super::shadow::Ray;
 
 /// A lamp.
@@ -126,15 +127,13 @@ impl Lamps {
     /// Change of brightness at a slope of ½ in the picture's middle, root mean square over
     /// directions and channels, as [`Shading::contrast`](super::optics::Shading::contrast).
     pub fn contrast(&self) -> f64 {
-        const DIRECTIONS: usize = 8;
         let beams = self.beams();
         let flat = beams.lit([0.0; 2], [0.0; 2], |_| 0.0);
-        let squares = (0..DIRECTIONS).flat_map(|i| {
-            let angle = (i as f64 * std::f64::consts::TAU / DIRECTIONS as f64) as f32;
+        over_directions(|angle| {
+            let angle = angle as f32;
             let lit = beams.lit([0.0; 2], [0.5 * angle.cos(), 0.5 * angle.sin()], |_| 0.0);
             [0, 1, 2].map(|c| self.gain * f64::from(lit[c] / flat[c] - 1.0))
-        });
-        (squares.map(|v| v * v).sum::<f64>() / (3 * DIRECTIONS) as f64).sqrt()
+        })
     }
 
     /// Sets the gain so that [`contrast`](Self::contrast) is this, within a factor of 3.

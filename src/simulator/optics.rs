@@ -90,13 +90,7 @@ impl Shading {
     /// Change of brightness at a slope of ½ in the picture's middle: root mean square over
     /// directions and channels.
     pub fn contrast(&self) -> f64 {
-        const DIRECTIONS: usize = 8;
-        let squares = (0..DIRECTIONS).flat_map(|i| {
-            let angle = i as f64 * std::f64::consts::TAU / DIRECTIONS as f64;
-            self.relative(0.0, 0.0, 0.5 * angle.cos(), 0.5 * angle.sin())
-        });
-        let sum: f64 = squares.map(|v| v * v).sum();
-        (sum / (3 * DIRECTIONS) as f64).sqrt()
+        over_directions(|angle| self.relative(0.0, 0.0, 0.5 * angle.cos(), 0.5 * angle.sin()))
     }
 
     /// Draws a sensor whose edges are no fainter than real ones.
@@ -173,6 +167,14 @@ impl Shading {
         let angle = rng.random_range(0.0..std::f64::consts::TAU);
         Self { channels }.turned(angle, rng.random_bool(0.5))
     }
+}
+
+/// Root mean square over directions and channels of what changes with a slope in the direction `angle`.
+pub(super) fn over_directions(change: impl Fn(f64) -> [f64; 3]) -> f64 {
+    const DIRECTIONS: usize = 8;
+    let angles = (0..DIRECTIONS).map(|i| i as f64 * std::f64::consts::TAU / DIRECTIONS as f64);
+    let sum: f64 = angles.flat_map(change).map(|v| v * v).sum();
+    (sum / (3 * DIRECTIONS) as f64).sqrt()
 }
 
 /// Coefficients of `b·v` after `v → m·v`.

@@ -1283,6 +1283,22 @@ fn wide_pictures_are_as_their_labels_say() {
 }
 
 #[test]
+fn bare_gel_shows_no_part() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("set");
+    let run = std::process::Command::new(env!("CARGO_BIN_EXE_smr-gpu"))
+        .args(["simulate", "--count", "1", "--seed", "1", "--conditions", "wide"])
+        .args(["--kind", "bare", "--part", "block", "--out"])
+        .arg(&out)
+        .output()
+        .expect("the program");
+    let message = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(2), "{message}");
+    assert!(message.contains("--part") && message.contains("--kind bare"), "{message}");
+    assert!(!out.exists());
+}
+
+#[test]
 fn conditions_keep_to_their_ranges() {
     let mut strong = BTreeMap::new();
     let count = 2000;
@@ -1423,6 +1439,27 @@ fn conditions_are_forced_by_name() {
         let (frame, _) = Conditions::sample(&mut Pcg64::seed_from_u64(1), &forced);
         assert_close(frame.longer_mm(), mm, 1e-9, scale);
     }
+    // The depth fits the thinnest gel that the other conditions leave, in whatever order they are told.
+    for (text, fits) in [
+        ("depth=1..2", true),
+        ("depth=3,gel=3.75..5", true),
+        ("depth=3,gel=3.7..5", false),
+        ("depth=3,mild", true),
+        ("mild,gel=2.5,depth=0.3..2.1", false),
+    ] {
+        assert_eq!(text.parse::<Forced>().is_ok(), fits, "{text}");
+    }
+    for (text, plain) in [
+        ("mild", true),
+        ("mild,wall=no,side=no,depth=1", true),
+        ("mild,wall", false),
+        ("mild,side", false),
+        ("mild,hole=2", false),
+        ("wall=no", false),
+    ] {
+        let forced: Forced = text.parse().expect(text);
+        assert_eq!(forced.leaves_parts_plain(), plain, "{text}");
+    }
     // What is forced is told as it is asked for.
     assert_eq!(forced.to_string().parse::<Forced>(), Ok(forced));
     let flags: Forced = "shadows,optics=lamps,cut=no,side".parse().expect("conditions");
@@ -1434,6 +1471,10 @@ fn conditions_are_forced_by_name() {
         ("exposure=9", "exposure=X or exposure=X..Y with 0.05"),
         ("exposure=2..1", "X ≤ Y"),
         ("wall=maybe", "wall=no"),
+        // No part goes through the gel.
+        ("gel=0.5", "gel=X or gel=X..Y with 2.5"),
+        ("depth=2.5", "expected at most 2 mm, 0.8 of a gel that may have 2.5 mm"),
+        ("depth=3", "expected at most 2 mm"),
         ("frame=100x100@1", "frame=paper"),
         ("frame=mini", "frame=paper"),
         ("optics=sun", "optics=measured"),

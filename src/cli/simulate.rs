@@ -85,7 +85,7 @@ pub(super) struct Args {
     ///   housing     at the frame's edges, yes or no
     ///   distortion  of the lens
     ///   snr         in dB
-    ///   gel         its thickness in mm
+    ///   gel         its thickness in mm, 2.5 or more
     ///   mechanics   elastic or smoothed
     ///   wall, side  hooks with one, on their side; yes or no
     ///   cut         snaps at the picture's edge, yes or no
@@ -93,7 +93,7 @@ pub(super) struct Args {
     ///   slots       of studs
     ///   hole        of studs, in mm
     ///   bead, fillet  of studs and rings, in mm
-    ///   depth       of snaps, in mm
+    ///   depth       of snaps, in mm, as far as the gel's thickness goes
     #[arg(
         long,
         value_name = "KEY[=VALUE],…",
@@ -122,6 +122,9 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         return Err(Failure::usage(
             "--press needs --conditions plain and a snap: --kind a, b or mixed",
         ));
+    }
+    if part.is_some() && kind == Mix::Bare {
+        return Err(Failure::usage("--part needs a --kind that shows parts, not --kind bare"));
     }
     let sensor = sensor.map(Given::new).transpose();
     let sensor = sensor.map_err(|e| Failure::new(Exit::Inputs, e))?.map(Arc::new);

@@ -86,6 +86,9 @@ pub struct Conditions {
 /// median of those drawn.
 pub const TYPICAL_CONTRAST: f64 = 0.1;
 
+/// Thickness of the gel where nothing is strong: the paper's.
+pub(super) const MILD_GEL_MM: f64 = 4.0;
+
 /// A condition that can be strong.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Strong {
@@ -143,7 +146,8 @@ impl Conditions {
             true if !mild => Mechanics::Smoothed,
             _ => Mechanics::Elastic,
         };
-        let gel_mm = if rng.random_bool(0.4) || mild { 4.0 } else { rng.random_range(2.5..6.0) };
+        let gel_mm =
+            if rng.random_bool(0.4) || mild { MILD_GEL_MM } else { rng.random_range(2.5..6.0) };
         // Drawn evenly over its logarithm: between these.
         let log =
             |rng: &mut Pcg64, low: f64, high: f64| rng.random_range(low.ln()..high.ln()).exp();

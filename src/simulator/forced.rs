@@ -8,7 +8,7 @@ use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::conditions::{Mechanics, Optics};
+use super::conditions::{MILD_GEL_MM, Mechanics, Optics};
 use super::frame::{FIELD_MM, Frame};
 
 /// A number, or a range from which it is drawn evenly.
@@ -96,6 +96,13 @@ pub struct ForceError {
     expected: String,
 }
 
+/// Thinnest gel: the thinnest that is drawn, and as thin as look-alikes of up to 2 mm may press into.
+const THINNEST_MM: f64 = 2.5;
+
+/// Deepest that a snap may go as a share of the gel, as the deepest that are drawn: 2 mm of the thinnest.
+/// Where it is tilted it goes on, and the acrylic is near.
+const DEEPEST: f64 = 0.8;
+
 /// Keys whose values are numbers, with the numbers they take.
 const NUMBERS: [(&str, f64, f64); 18] = [
     ("scale", 0.25, 4.0),
@@ -110,7 +117,7 @@ const NUMBERS: [(&str, f64, f64); 18] = [
     ("vignetting", 0.0, 1.0),
     ("distortion", -0.2, 0.2),
     ("snr", 10.0, 60.0),
-    ("gel", 0.5, 20.0),
+    ("gel", THINNEST_MM, 20.0),
     ("slots", 2.0, 6.0),
     ("hole", 0.5, 8.0),
     ("bead", 0.0, 0.6),
@@ -125,8 +132,27 @@ impl Forced {
     /// Whether snaps are drawn as in plain pictures.
     pub fn leaves_parts_plain(&self) -> bool {
         let stud = [self.slots, self.hole, self.bead, self.fillet];
-        let shaped = self.wall.or(self.side).is_some() || stud.iter().any(Option::is_some);
+        let hook = [self.wall, self.side].contains(&Some(true));
+        let shaped = hook || stud.iter().any(Option::is_some);
         self.mild && !shaped
+    }
+
+    /// Whether the gel is thick enough for the depth that is set.
+    fn check_depth(&self) -> Result<(), ForceError> {
+        let Some(depth) = self.depth else { return Ok(()) };
+        let drawn = if self.mild { MILD_GEL_MM } else { THINNEST_MM };
+        let gel = self.gel.map_or(drawn, |span| span.low);
+        // To a micrometre.
+        let most = (1e3 * DEEPEST * gel).round() / 1e3;
+        if depth.high <= most {
+            return Ok(());
+        }
+        Err(ForceError {
+            item: format!("depth={}", depth.high),
+            expected: format!(
+                "at most {most} mm, {DEEPEST} of a gel that may have {gel} mm; gel=X makes it thicker"
+            ),
+        })
     }
 
     /// Sets one condition from `key` or `key=value`; a number may be a range, `low..high`.
@@ -242,12 +268,13 @@ fn parse_frame(text: &str) -> Option<Frame> {
 impl FromStr for Forced {
     type Err = ForceError;
 
-    /// Reads conditions separated by commas.
+    /// Reads conditions separated by commas, of which the depth must fit the gel.
     fn from_str(text: &str) -> Result<Self, ForceError> {
         let mut forced = Self::default();
         for item in text.split(',').filter(|item| !item.is_empty()) {
             forced.set(item)?;
         }
+        forced.check_depth()?;
         Ok(forced)
     }
 }

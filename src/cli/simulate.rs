@@ -56,8 +56,8 @@ pub(super) struct Args {
 
     /// Draw the pictures that one sensor takes: `paper`, `gelsight-mini` or a sensor file (JSON), as
     /// `smr-gpu calibrate` writes. Frame, gel, scale, distortion and, if the file has them, light, markers
-    /// and the untouched gel's picture are the sensor's. Plain conditions leave all else as on the
-    /// paper's sensor.
+    /// and the untouched gel's picture are the sensor's. Plain conditions draw all else weakly, but for the
+    /// lights' colour, which is grey on some sensors and strong on others.
     #[arg(long, value_name = "NAME|FILE", value_parser = sensor)]
     sensor: Option<Sensor>,
 
@@ -69,7 +69,7 @@ pub(super) struct Args {
     ///
     /// Numbers may be ranges, as in strength=2..4; of yes and no the name alone is yes.
     ///
-    ///   mild        the paper's frame, and whatever is not set is drawn weakly
+    ///   mild        the paper's frame, and whatever is not set but colour is drawn weakly
     ///   frame       paper, gelsight-mini or WIDTHxHEIGHT@MM_PER_PIXEL
     ///   scale       of things beside the frame's own, as far as fields of 10 to 60 mm go
     ///   optics      measured or lamps

@@ -178,7 +178,8 @@ impl Coating {
         self.levels = [(); 3].map(|()| grey * (1.0 + colour * tint * rng.random_range(-1.0..1.0)));
     }
 
-    /// Lowers the level of the flat gel to at most this, for the brightest channel in the middle.
+    /// Lowers the level of the flat gel to at most this, for the brightest channel in the middle. A label
+    /// says nothing of it: its `exposure` is what was drawn.
     pub fn limit_level(&mut self, most: f64) {
         let brightest = self.levels.iter().fold(0.0f64, |a, &b| a.max(b));
         let scale = (most / brightest).min(1.0);

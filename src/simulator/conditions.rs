@@ -54,13 +54,16 @@ pub struct Conditions {
     pub mechanics: Mechanics,
     /// Thickness of the gel in millimetres.
     pub gel_mm: f64,
-    /// Contrast of the shading over a plain sensor's median.
+    /// Contrast of the shading over a plain sensor's median, as drawn: lamps whose own contrast is low
+    /// reach three times that at most, [`Lamps::set_contrast`](super::lamps::Lamps::set_contrast).
     pub strength: f64,
     /// Share of a light that its shadows take away; 0 without shadows.
     pub shadows: f64,
     /// Colour of the light: 0 grey, 1 each channel a light of its own; negative: one channel.
     pub colour: f64,
-    /// Factor on the brightness.
+    /// Factor on the brightness, as drawn: a gel that it would overexpose is given a darker coating,
+    /// [`Coating::limit_level`](super::coating::Coating::limit_level), so that above about 1.4 many
+    /// pictures are less bright than it says.
     pub exposure: f64,
     /// Pitch of printed markers in millimetres; 0 without.
     pub markers_mm: f64,

@@ -31,7 +31,8 @@ impl Span {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Forced {
-    /// Whether the frame is the paper's and all that is not forced is drawn weakly.
+    /// Whether the frame is the paper's and all that is not forced is drawn weakly, but for the lights'
+    /// colour, which is drawn as ever.
     pub mild: bool,
     /// The frame.
     pub frame: Option<Frame>,

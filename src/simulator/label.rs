@@ -25,9 +25,10 @@ pub struct Label {
     /// Area in contact, in square pixels.
     pub area_px: f64,
     /// For A the direction from the root of the arm to its barbed tip, from x towards y, in degrees
-    /// above −180 and up to 180; also of a hook on its side. B has none.
+    /// from −180 to below 180; also of a hook on its side. B has none.
     pub yaw_deg: Option<f64>,
-    /// Depth of the highest point below the undeformed surface, in millimetres.
+    /// Depth of the highest point below the undeformed surface if the snap were not tilted, in
+    /// millimetres: tilt takes the deepest point some tenths of a millimetre further.
     pub depth_mm: f64,
     /// Middle of the box in millimetres from the middle of the gel that the sensor's frames show, x
     /// right, y down, on the gel: corrected for the lens.

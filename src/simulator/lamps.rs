@@ -16,9 +16,9 @@ use super::shadow::Ray;
 /// A lamp.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lamp {
-    /// Where it stands, seen from the picture's middle.
+    /// Where it stands, seen from the gel's middle.
     pub ray: Ray,
-    /// Distance from the picture's middle, in millimetres.
+    /// Distance from the gel's middle, in millimetres.
     pub distance_mm: f64,
     /// Light in the middle for red, green and blue.
     pub colour: [f64; 3],
@@ -124,7 +124,7 @@ impl Lamps {
         }
     }
 
-    /// Change of brightness at a slope of ½ in the picture's middle, root mean square over
+    /// Change of brightness at a slope of ½ in the gel's middle, root mean square over
     /// directions and channels, as [`Shading::contrast`](super::optics::Shading::contrast).
     pub fn contrast(&self) -> f64 {
         let beams = self.beams();
@@ -136,7 +136,8 @@ impl Lamps {
         })
     }
 
-    /// Sets the gain so that [`contrast`](Self::contrast) is this, within a factor of 3.
+    /// Sets the gain so that [`contrast`](Self::contrast) is this, or as near as a gain of 0.05 to 3 comes.
+    /// A picture's label keeps what was asked for.
     pub fn set_contrast(&mut self, contrast: f64) {
         self.gain = 1.0;
         self.gain = (contrast / self.contrast().max(1e-6)).clamp(0.05, 3.0);
@@ -158,7 +159,7 @@ pub struct Beams {
 }
 
 impl Beams {
-    /// Light at a place in millimetres from the picture's middle where the depth has this gradient,
+    /// Light at a place in millimetres from the gel's middle where the depth has this gradient,
     /// for each channel. `shadow` says how much of each lamp's light the place lacks.
     pub fn lit(
         &self,

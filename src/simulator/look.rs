@@ -162,7 +162,7 @@ impl Look {
         let mut coating = Coating::sample(rng, &frame);
         coating.set_mottle(conditions.mottle);
         coating.set_colour(rng, conditions.colour);
-        // However long the exposure, slopes away from the light must still show.
+        // However long the exposure, slopes away from the light must still show. The label keeps it.
         coating.limit_level(rng.random_range(150.0..265.0) / conditions.exposure);
         let markers = (conditions.markers_mm > 0.0)
             .then(|| Markers::sample(rng, conditions.markers_mm, frame.mm_per_pixel));

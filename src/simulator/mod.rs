@@ -2,7 +2,7 @@
 //!
 //! | step | module | what it does |
 //! |---|---|---|
-//! | parts | [`snaps`], [`distractors`], [`profile`] | height fields of what presses on the gel |
+//! | parts | [`snaps`], [`distractors`], [`clutter`], [`profile`] | height fields of what presses on the gel |
 //! | layout | [`scene`], [`layout`] | draws a plain or a wide scene and makes one rigid body of it |
 //! | mechanics | [`gel`], [`contact`], [`smooth`], [`surface`] | the gel's surface under that body |
 //! | conditions | [`frame`], [`conditions`], [`forced`] | what differs from sensor to sensor, drawn or forced |
@@ -33,9 +33,12 @@
 //! thickness as a blur, and light that is never scattered from slope to slope.
 //!
 //! What is left out: friction, the gel's edge as a free side, slopes so steep that linear
-//! elasticity fails, refraction in the acrylic, and in plain pictures shadows. The distance to real
-//! pictures that [`calibrate`] reports is what that costs on a ball; no real picture of a snap has
-//! been compared.
+//! elasticity fails, refraction in the acrylic, and in plain pictures shadows. Texture, dust and
+//! scratches stay where they are when the gel under them moves. And nothing draws what some sensors
+//! have: curved gels, cameras that look askew, bubbles, motion blur, auto-exposure, JPEG with
+//! subsampled colours, print other than dots on a square grid, pictures of differences. The distance
+//! to real pictures that [`calibrate`] reports is what that costs on a ball; no real picture of a
+//! snap has been compared.
 
 pub mod calibrate;
 pub mod camera;

@@ -24,8 +24,8 @@ use super::scene::{Mix, Scene};
 use super::smooth;
 use super::surface::Surface;
 
-/// Cells of a plain picture's contact: the gel, two pixels a cell, and half as much again of free
-/// gel round it, so that the periodic images are far.
+/// Cells of a plain picture's contact: the gel, two pixels a cell, and 5.6 mm of free gel round it, 28 %
+/// more along a side, so that the periodic images are far.
 pub const GRID: Grid = Grid { cells: 640, spacing_mm: 2.0 * Frame::PAPER.mm_per_pixel };
 
 /// When the contact is good enough: half a micrometre.
@@ -129,7 +129,8 @@ impl Renderer {
         if request.conditions == Distribution::Plain {
             return self.plain(seed, request.mix);
         }
-        // Streams of their own, so that what is forced changes nothing else.
+        // Streams of their own, so that what is forced in one leaves what the others draw; within its own
+        // it may change what is drawn after it.
         let mut streams = Pcg64::seed_from_u64(seed);
         let mut stream = || Pcg64::seed_from_u64(streams.random_range(0..u64::MAX));
         let [mut choice, mut conditions, mut scenes, mut sensor] = [(); 4].map(|()| stream());
@@ -313,8 +314,8 @@ pub fn contact_grid(frame: &Frame, gel_mm: [f64; 2]) -> Grid {
     Grid { cells, spacing_mm: side / cells as f64 }
 }
 
-/// What of the gel a window of the picture shows, in millimetres from what it shows at `middle`. The
-/// lens is left out: within a window it changes little.
+/// What of the gel a window of the picture shows without the lens, in millimetres from what is seen at
+/// `middle`: where parts are laid out.
 fn region(frame: &Frame, [x0, y0, x1, y1]: PixelBox, middle: [f64; 2]) -> Region {
     let [left, top] = frame.to_mm(middle);
     let ([a, b], [c, d]) = (frame.to_mm([x0, y0]), frame.to_mm([x1, y1]));

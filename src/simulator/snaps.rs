@@ -3,7 +3,8 @@
 //! Size must not give the class away. Both kinds draw their footprint's area from one
 //! distribution, 20 to 49 mm²: a hook of 6–10 × 3–5 mm, a stud of 5–8 mm diameter. Some studs
 //! are ovalised to the same area, so that proportions overlap too, and a turned hook's box is as
-//! square as a stud's. A hook of which only the barb touches is small; such are few.
+//! square as a stud's; for that 17 % of studs are longer than 8 mm, and 9 % narrower than 5 mm. A
+//! hook of which only the barb touches is small; such are few.
 //!
 //! [`Snap::sample_wide`] draws from wider ranges, 14 to 60 mm² for both kinds: other proportions
 //! and barbs, hooks that lie on their side so that their profile presses, studs of 2, 3, 4 and 6
@@ -216,9 +217,9 @@ impl Hook {
                 (face + self.land - x) * sin + (high - y) * cos
             }
         };
-        // The lead-in also cuts the arm's tip, as far as it reaches.
+        // The lead-in ends at the arm, whose tip stays square.
         let barb = retention.min(high - y).min(lead).min(y - arm_top + self.thickness / 2.0);
-        arm.min(lead.max(arm_top - y)).max(barb.min(half - x))
+        arm.max(barb.min(half - x))
     }
 }
 

@@ -23,6 +23,15 @@ impl ConvShape {
         let padded = self.padding.checked_mul(2)?.checked_add(input)?;
         Some(padded.checked_sub(span)? / self.stride + 1)
     }
+
+    /// Bytes of the copy that [`conv2d`] makes of an input `[I, H, W]` for a kernel of so many columns.
+    pub fn copied_bytes(&self, [channels, height, width]: [usize; 3], columns: usize) -> u64 {
+        let [height, width] =
+            [height, width].map(|n| n.saturating_add(self.padding.saturating_mul(2)) as u64);
+        let behind = (columns as u64).saturating_mul(self.dilation as u64);
+        let plane = height.saturating_mul(width).saturating_add(behind);
+        plane.saturating_mul(channels as u64).saturating_mul(8)
+    }
 }
 
 /// `output[o] = Σ weight[o, i, ky, kx] · input[i, …] + bias[o] (+ residual[o])`, then ReLU.

@@ -27,6 +27,8 @@ pub static ENTRY: Entry = Entry {
 
 /// Largest stride, dilation and padding: far past any use, and safe in the shader's u32 arithmetic.
 const MAX_PARAM: u64 = 4096;
+/// Most bytes of the reference's copy of its input with the padding: far past any use.
+const MAX_COPY: u64 = 4 << 30;
 /// Output channels that one workgroup computes.
 pub(crate) const CHANNELS: usize = 64;
 
@@ -70,6 +72,17 @@ impl Conv2d {
         let bias = self.bias.then(|| &inputs[2]);
         let residual = self.residual.then(|| &inputs[2 + usize::from(self.bias)]);
         (&inputs[0], &inputs[1], bias, residual)
+    }
+
+    /// Checks that there is room for the reference's copy of its input, which no device makes.
+    fn check_copy(&self, input: &Tensor, weight: &Tensor) -> Result<()> {
+        let dims = [0, 1, 2].map(|i| input.dims()[i]);
+        let needed = self.shape().copied_bytes(dims, weight.dims()[3]);
+        if needed > MAX_COPY {
+            let what = "conv2d: bytes of the padded input".into();
+            return Err(Error::Capacity { what, needed, available: MAX_COPY });
+        }
+        Ok(())
     }
 
     /// How far each output may be from the reference's, of a kernel that sums in this order.
@@ -149,6 +162,7 @@ impl Op for Conv2d {
         let bias = bias.map(|v| v.f32()).transpose()?;
         let residual = residual.map(|v| v.f32()).transpose()?;
         let (input, weight) = (input.f32()?, weight.f32()?);
+        self.check_copy(input, weight)?;
         Ok(vec![cpu::conv2d(input, weight, bias, residual, self.shape(), self.relu).into()])
     }
 

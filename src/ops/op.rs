@@ -89,7 +89,8 @@ pub trait Op: Any + Debug + Send + Sync {
     /// `outputs`.
     ///
     /// # Errors
-    /// None that a checked input brings about.
+    /// [`Error::Capacity`] for what takes more memory than the outputs let expect; none else that a checked
+    /// input brings about.
     fn compute(&self, inputs: &[&Value], outputs: &[TensorSpec]) -> Result<Vec<Value>>;
 
     /// How far the shader's outputs may be from the reference's: a bound with a reason, by output.

@@ -161,7 +161,13 @@ pub fn commands(
         let (read, wrote) = (spec(&own.inputs), spec(&own.outputs));
         let (mut bytes, mut multiply_adds) = (0, 0);
         if longest(*node) == Some(at) {
-            bytes = read.iter().chain(&wrote).map(TensorSpec::bytes).sum();
+            // A picture has a size of its own, at most that of the graph's.
+            let given = |id: &TensorId| inputs.iter().find(|(input, _)| input == id);
+            let each = own.inputs.iter().chain(&own.outputs).map(|id| match given(id) {
+                Some((_, value)) => value.spec().bytes(),
+                None => graph.spec(*id).bytes(),
+            });
+            bytes = each.sum();
             multiply_adds = own.op.multiply_adds(&read, &wrote);
         }
         let stage = graph.stages()[own.stage].clone();
@@ -213,7 +219,7 @@ pub fn roof(gpu: &Arc<Gpu>, runs: usize) -> Result<Roof> {
 mod tests {
     use super::*;
     use crate::gpu::GpuOptions;
-    use crate::ops::Conv2d;
+    use crate::ops::{Conv2d, GatherRows};
     use crate::tensor::Tensor;
 
     /// A map on its way to a texture: to quads, the copy, the products.
@@ -232,5 +238,21 @@ mod tests {
         assert!(times.iter().any(|time| time.what == "copy"), "{times:?}");
         let none: Vec<_> = times.iter().filter(|time| time.time.is_zero()).collect();
         assert!(none.is_empty(), "{none:?}");
+    }
+
+    /// Room for a hundred rows, of which a run gives ten and gathers five.
+    #[test]
+    fn bytes_are_those_given() {
+        let gpu = pollster::block_on(Gpu::open(GpuOptions::default())).expect("an adapter");
+        let mut graph = Graph::default();
+        let input = graph.input("rows", TensorSpec::u32([100]), Extent::UpTo);
+        let indices = graph.constant("indices", Tensor::from_fn([5], |i| i as u32));
+        let count = graph.constant("count", Tensor::from_fn([1], |_| 5u32));
+        let output = graph.apply1("gather", GatherRows {}, &[input, indices, count]);
+        graph.mark_output(output.expect("rows"));
+        let value = Value::from(Tensor::from_fn([10], |i| i as u32));
+        let how = (&Choice::default(), Precision::F32);
+        let times = commands(&gpu, &graph, &[(input, &value)], how, 1).expect("times");
+        assert_eq!(times.iter().map(|time| time.bytes).sum::<u64>(), 4 * (10 + 5 + 1 + 5));
     }
 }

@@ -86,6 +86,13 @@ fn cases() -> Vec<Case> {
             vec![values([2, 2, 2], &[1.0, 2.0, 3.0, 6.0, -1.0, -2.0, -3.0, -10.0])],
         )
         .by_hand(vec![values([2, 2], &[3.0, -4.0, 6.0, -1.0])]),
+        // Whoever begins with the lowest number finds that to be the maximum.
+        Case::new(
+            "all −∞ by hand",
+            ChannelPool,
+            vec![values([2, 1, 2], &[1.0, 3.0, -f32::INFINITY, -f32::INFINITY])],
+        )
+        .by_hand(vec![values([2, 2], &[2.0, -f32::INFINITY, 3.0, -f32::INFINITY])]),
     ];
     let shapes = [
         ("one of everything", [1, 1, 1]),

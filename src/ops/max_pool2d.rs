@@ -126,6 +126,9 @@ fn cases() -> Vec<Case> {
             )],
         )
         .by_hand(vec![values([1, 1, 2], &[1.0, f32::INFINITY])]),
+        // Whoever begins with the lowest number finds that.
+        Case::new("all −∞ by hand", op(2, 2, 0), vec![values([1, 2, 4], &[-f32::INFINITY; 8])])
+            .by_hand(vec![values([1, 1, 2], &[-f32::INFINITY; 2])]),
         // As PyTorch's: an overflow must reach the outputs, where the host looks for it.
         Case::new(
             "a NaN stays, wherever it is in its window",

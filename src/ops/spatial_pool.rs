@@ -106,6 +106,13 @@ fn cases() -> Vec<Case> {
             ],
         )
         .by_hand(vec![values([2, 1, 2], &[3.0, 2.0, -0.375, -3.75])]),
+        // Whoever begins with the lowest number finds that to be the maximum.
+        Case::new(
+            "all −∞ by hand",
+            SpatialPool,
+            vec![Tensor::from_fn([4, 1, 2], |_| -f32::INFINITY).into(), values([4], &[0.5; 4])],
+        )
+        .by_hand(vec![Tensor::from_fn([2, 1, 2], |_| -f32::INFINITY).into()]),
     ];
     let shapes = [
         ("one of everything", [1, 1, 1]),

@@ -22,8 +22,6 @@ struct Params {
     pad2: u32,
 }
 
-const LOWEST: f32 = -0x1.fffffep+127f;
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> input: array<Texel>;
 // [chunks][2][C]
@@ -47,7 +45,7 @@ fn main(
     let row_texels = map.columns * map.pitch;
     var row = texel_index(map, texel(map, workgroup.z, quad, first, 0u));
     var sum = vec4(0.0);
-    var largest = vec4(LOWEST);
+    var largest = vec4(lowest(map));
     for (var y = first; y < end; y++) {
         var row_sum = vec4(0.0);
         for (var x = local.x; x < map.width; x += 8u) {

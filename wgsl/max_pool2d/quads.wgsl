@@ -16,8 +16,6 @@ struct Params {
     pad0: u32,
 }
 
-const LOWEST: f32 = -0x1.fffffep+127f;
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> input: array<Texel>;
 @group(0) @binding(2) var<storage, read_write> output: array<OutputTexel>;
@@ -59,10 +57,11 @@ fn main(
         texel_index(to, texel(to, workgroup.z, quads.x, y, 0u)),
         texel_index(to, texel(to, workgroup.z, quads.y, y, 0u)),
     );
+    let none = lowest(source);
     for (var x = local.x; x < to.width; x += 8u) {
         let columns = window(x, source.width);
-        var largest0 = vec4(LOWEST);
-        var largest1 = vec4(LOWEST);
+        var largest0 = vec4(none);
+        var largest1 = vec4(none);
         var row = first;
         for (var iy = rows.x; iy < rows.y; iy++) {
             for (var ix = columns.x; ix < columns.y; ix++) {

@@ -23,6 +23,11 @@ fn texel(map: Quads, n: u32, q: u32, y: u32, x: u32) -> vec2<u32> {
     );
 }
 
+/// Minus infinity, which no constant of WGSL may be.
+fn lowest(map: Quads) -> f32 {
+    return bitcast<f32>(0xff800000u | map.zero);
+}
+
 /// Place in a buffer of what lies at a column and a row.
 fn texel_index(map: Quads, at: vec2<u32>) -> u32 {
     return at.y * (map.columns * map.pitch) + at.x;

@@ -18,8 +18,6 @@ struct Params {
     output_stride: u32,
 }
 
-const LOWEST: f32 = -0x1.fffffep+127f;
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> input: array<Texel>;
 @group(0) @binding(2) var<storage, read> channel_gate: array<vec4<f32>>;
@@ -55,9 +53,9 @@ fn main(
     var at = texel(map, workgroup.z, first, y, x);
     let gates = workgroup.z * params.gate_stride / 4u;
     var near_sum = vec4(0.0);
-    var near_largest = vec4(LOWEST);
+    var near_largest = vec4(lowest(map));
     var far_sum = vec4(0.0);
-    var far_largest = vec4(LOWEST);
+    var far_largest = near_largest;
     for (var q = first; q < end; q++) {
         let gate = channel_gate[gates + q];
         // The far pixel may lie between the width and the pitch; nobody stores it then.

@@ -47,8 +47,8 @@
 //! | [`kernels`], [`lower`] | each operation's kernels and their dispatches; the kernels chosen for a graph |
 //! | [`gpu`] | the device, pipelines, memory, recordings, plans; alone to name wgpu |
 //! | [`profile`], [`tune`] | where a graph's time goes on a device; which kernels are fastest on it |
-//! | [`check`] | each kernel on a device against its reference, case by case |
 //! | [`host`] | the graph in f32 on this machine's CPU, for machines without an adapter |
+//! | [`check`] | each kernel on a device against its reference, case by case |
 //! | [`model`] | SMR-Net's stages, its configuration and its weights |
 //! | [`comparison`] | the whole network on a device, by operation and by outcome, against the reference |
 //! | [`frame`] | pictures in memory, as cameras give them; what their bytes mean says [`PixelFormat`] |

@@ -1,7 +1,7 @@
 //! The layout of the sources and the shaders' limits: an operation is one stem in five places.
 
-use std::collections::BTreeSet;
-use std::path::Path;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
 
 use smr_gpu::Precision;
 use smr_gpu::kernels::{self, Caps};
@@ -48,6 +48,66 @@ fn every_operation_has_its_four_files() {
     for op in &ops {
         assert!(tests.contains(&format!("mod {op};")), "{op} is not in tests/ops.rs");
     }
+}
+
+/// The Rust files in and below a folder.
+fn sources(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).expect("a folder of sources");
+    let paths = entries.map(|entry| entry.expect("a readable folder").path());
+    let each = paths.map(|path| if path.is_dir() { sources(&path) } else { vec![path] });
+    each.flatten().filter(|path| path.extension().is_some_and(|e| e == "rs")).collect()
+}
+
+/// The first parts of the paths from this crate's root that code names.
+fn named(code: &str) -> BTreeSet<&str> {
+    let word = |text| str::split(text, |c: char| !c.is_alphanumeric() && c != '_').next();
+    let rests = ["crate::", "smr_gpu::"].into_iter().flat_map(|root| code.split(root).skip(1));
+    let each = rests.flat_map(|rest| match rest.strip_prefix('{') {
+        Some(list) => list.split('}').take(1).flat_map(|l| l.split(',')).map(str::trim).collect(),
+        None => vec![rest],
+    });
+    each.filter_map(word).filter(|name| !name.is_empty()).collect()
+}
+
+/// What a module uses stands above it in the crate's table of modules, or in the same row; a device's crate is
+/// named where devices are.
+#[test]
+fn imports_run_one_way() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let read = |path: &Path| std::fs::read_to_string(path).expect("a source");
+    let table = read(&folder.join("lib.rs"));
+    let rows = table.lines().filter_map(|line| line.strip_prefix("//! | [`"));
+    let rows = rows.filter_map(|row| row.split(" | ").next());
+    let modules = rows.enumerate().flat_map(|(at, row)| row.split(", ").map(move |m| (m, at)));
+    let mut places: BTreeMap<&str, usize> =
+        modules.map(|(name, at)| (name.trim_matches(&['[', '`', ']'][..]), at)).collect();
+    assert!(places["error"] < places["cpu"] && places["lower"] < places["gpu"], "{places:?}");
+    // What is too small for a row, and what stands below all: the program, and names at the root.
+    let root = usize::MAX;
+    places.extend(["lock", "milliseconds", "pixel_format"].map(|name| (name, 0)));
+    places.extend([("Error", 0), ("Result", 0), ("cli", root), ("main", root), ("lib", root)]);
+    let place = |name: &str| places.get(name).copied();
+    let mut failures = Vec::new();
+    for path in sources(&folder) {
+        let own = path.strip_prefix(&folder).expect("a path below").with_extension("");
+        let module = own.iter().next().expect("a module").to_string_lossy();
+        let Some(at) = place(&module) else {
+            failures.push(format!("{module} has no row in lib.rs"));
+            continue;
+        };
+        let text = read(&path);
+        // Tests may use what they like.
+        let code = text.split("#[cfg(test)]\nmod tests").next().unwrap_or_default();
+        let lines = code.lines().filter(|line| !line.trim_start().starts_with("//"));
+        let code = lines.collect::<Vec<_>>().join("\n");
+        let above = |name: &&str| place(name).unwrap_or(root) > at;
+        let wrong = named(&code).into_iter().filter(above);
+        failures.extend(wrong.map(|name| format!("{}: uses {name}", own.display())));
+        if code.contains("wgpu") && module != "gpu" {
+            failures.push(format!("{}: names wgpu", own.display()));
+        }
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
 }
 
 /// A kernel is called as its operation, and its shaders lie where one looks for them.

@@ -401,6 +401,19 @@ pub fn run_op(gpu: &Arc<Gpu>, op: &Arc<dyn Op>, inputs: &[Value]) -> Result<Vec<
     Single::new(gpu, op, inputs, ("", Precision::F32), 1, false)?.run()
 }
 
+/// Runs a case on the device by each kernel that fits: the kernels' names, and what they gave.
+///
+/// # Errors
+/// As [`run_op`].
+pub fn run_each(gpu: &Arc<Gpu>, case: &Case) -> Result<Vec<(&'static str, Vec<Value>)>> {
+    let precision = Precision::F32;
+    let run = |(kernel, _): (&dyn Kernel, _)| {
+        let how = (kernel.id(), precision);
+        Ok((kernel.id(), Single::new(gpu, &case.op, &case.inputs, how, 1, false)?.run()?))
+    };
+    fitting(gpu, case, precision)?.into_iter().map(run).collect()
+}
+
 /// An operation alone on a device.
 struct Single {
     slot: Slot,

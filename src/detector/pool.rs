@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use std::task::{Context, Poll, Waker};
 
 use crate::error::Result;
-use crate::gpu::{Alarm, Arena, Deadline, Gpu, Inputs, Program, RunOutput, Slot};
+use crate::gpu::{Alarm, Arena, Deadline, Gpu, Inputs, Program, RunOutput, Slot, add_waker};
 use crate::lock::lock;
 
 /// Arenas, handed out one at a time.
@@ -95,7 +95,7 @@ impl Pool {
             return Poll::Ready(Err(deadline.error(stage)));
         }
         state.late.iter().for_each(|(_, slot)| slot.wake_when_free(context.waker()));
-        state.waiting.push(context.waker().clone());
+        add_waker(&mut state.waiting, context.waker());
         drop(state);
         *alarm = deadline.wake(&self.gpu, context.waker());
         Poll::Pending

@@ -124,7 +124,7 @@ impl Landing {
         let mut state = lock(&self.state);
         match state.result {
             Some(_) => waker.wake_by_ref(),
-            None => state.wakers.push(waker.clone()),
+            None => add_waker(&mut state.wakers, waker),
         }
     }
 
@@ -148,7 +148,7 @@ impl Landing {
             if deadline.is_over() {
                 return Poll::Ready(None);
             }
-            state.wakers.push(context.waker().clone());
+            add_waker(&mut state.wakers, context.waker());
             drop(state);
             alarm = deadline.wake(gpu, context.waker());
             Poll::Pending
@@ -164,5 +164,49 @@ impl Landing {
             Some(Err(message)) => Err(Error::Driver { stage: stage.into(), message }),
             None => Err(deadline.error(stage)),
         }
+    }
+}
+
+/// Adds a waker once, however often its task is polled before it is woken.
+pub(crate) fn add_waker(wakers: &mut Vec<Waker>, waker: &Waker) {
+    if !wakers.iter().any(|known| known.will_wake(waker)) {
+        wakers.push(waker.clone());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::GpuOptions;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+    use std::task::{Context, Wake};
+
+    #[derive(Default)]
+    struct Woken(AtomicUsize);
+
+    impl Wake for Woken {
+        fn wake(self: Arc<Self>) {
+            self.0.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Who polls for another reason, as a `select` does, leaves one waker all the same.
+    #[test]
+    fn polled_often_and_woken_once() {
+        let gpu = pollster::block_on(Gpu::open(GpuOptions::default())).expect("an adapter");
+        let landing = Landing { state: Arc::default(), start: Instant::now() };
+        let woken = [(); 2].map(|()| Arc::new(Woken::default()));
+        let deadline = Deadline::after(Duration::from_secs(60));
+        let mut wait = Box::pin(landing.wait(&gpu, deadline, "a test"));
+        for woken in &woken {
+            let waker = Waker::from(woken.clone());
+            for _ in 0..3 {
+                let polled = wait.as_mut().poll(&mut Context::from_waker(&waker));
+                assert!(polled.is_pending());
+                landing.wake_when_over(&waker);
+            }
+        }
+        landing.tell(Ok(()));
+        assert_eq!(woken.map(|woken| woken.0.load(Ordering::Relaxed)), [1, 1]);
     }
 }

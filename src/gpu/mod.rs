@@ -22,6 +22,7 @@ pub use context::{Gpu, GpuOptions};
 #[doc(hidden)]
 pub use faults::{Call, Fault, Faults};
 pub use landing::Deadline;
+pub(crate) use landing::add_waker;
 pub(crate) use native::Alarm;
 pub use poison::Poison;
 pub use program::{Profile, Program, ProgramOptions};

@@ -2,7 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::graph::TensorId;
-use crate::kernels::{Caps, Dispatch, Grid, Layout, MAX_WORKGROUPS, Quads, Recording, texels};
+use crate::kernels::{Caps, Dispatch, Grid, Layout, Quads, Recording, texels};
 use crate::precision::Precision;
 use crate::shader::{Shader, Variant, shader_params};
 
@@ -40,8 +40,8 @@ impl Convert {
     /// Appends what brings `from` to the layout of `to`, a tensor of the same shape.
     ///
     /// # Errors
-    /// [`Error::Capacity`] for a map with too many rows, [`Error::Tensor`] for layouts between which
-    /// there is no single step.
+    /// [`Error::Tensor`] for what is no map or too large, and for layouts between which there is no
+    /// single step.
     pub fn record(recording: &mut Recording, from: TensorId, to: TensorId) -> Result<()> {
         let map = recording.quads(to)?;
         let (entry, planar, quads) = match (recording.info(from).layout, recording.info(to).layout)
@@ -63,13 +63,6 @@ impl Convert {
         };
         let params = Params { map, stride: recording.stride(planar), pad0: 0, pad1: 0, pad2: 0 };
         let rows = map.quads * map.height;
-        if rows > MAX_WORKGROUPS {
-            return Err(Error::Capacity {
-                what: "convert: rows of a map".into(),
-                needed: rows.into(),
-                available: MAX_WORKGROUPS.into(),
-            });
-        }
         let names = match entry {
             "to_quads" => ["planar", "quads"],
             _ => ["planar_out", "quads_in"],

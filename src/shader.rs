@@ -72,6 +72,7 @@ const SHARED: &[(&str, &str)] = &[
     ("relu", include_str!("../wgsl/shared/relu.wgsl")),
     ("reduce", include_str!("../wgsl/shared/reduce.wgsl")),
     ("sigmoid", include_str!("../wgsl/shared/sigmoid.wgsl")),
+    ("window", include_str!("../wgsl/shared/window.wgsl")),
 ];
 
 /// Another text for one file under `wgsl/`.

@@ -11,6 +11,7 @@ struct Params {
 @group(0) @binding(3) var<storage, read_write> output: array<f32>;
 
 // include: index
+// include: sigmoid
 
 const DEGREES: f32 = 57.29577951308232;
 const PI: f32 = 3.141592653589793;
@@ -65,8 +66,5 @@ fn main(
     output[5u * at + 1u] = deviation(rows[row + 2u], 1.1908475) * DEGREES;
     output[5u * at + 2u] = deviation(rows[row + 3u], 4.6051702);
     output[5u * at + 3u] = deviation(rows[row + 4u], 4.6051702);
-    let logit = rows[row + 5u];
-    // So that nothing overflows.
-    let e = exp(-abs(logit));
-    output[5u * at + 4u] = select(e, 1.0, logit >= 0.0) / (1.0 + e);
+    output[5u * at + 4u] = sigmoid(rows[row + 5u]);
 }

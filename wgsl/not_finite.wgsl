@@ -1,6 +1,8 @@
 // How many values of each chunk of a tensor are infinite or NaN. By their bits: WGSL lets a compiler
 // assume that there are none. A workgroup is a chunk of CHUNK elements.
 
+// include: index
+
 struct Params {
     // Rows, of which a count says how many are in use, and elements of a row.
     rows: u32,
@@ -27,10 +29,9 @@ var<workgroup> total: atomic<u32>;
 @compute @workgroup_size(LANES)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let chunk = workgroup.y * workgroups.x + workgroup.x;
+    let chunk = linear_index(workgroup, 0u, 1u);
     if chunk >= params.chunks {
         return;
     }

@@ -1,5 +1,7 @@
 //! A pose from what the RoI head says of a region.
 
+use crate::cpu::shared;
+
 /// Logarithms of variances lie in these ranges: e⁻⁶ of a unit is below all noise; a direction knows
 /// nothing at the deviation of all angles alike, π/√3, and a centre at 10 mm.
 const LEAST: f64 = -12.0;
@@ -19,6 +21,6 @@ pub fn decode_pose(row: [f32; 6]) -> [f64; 5] {
         deviation(v, MOST_YAW).to_degrees(),
         deviation(vx, MOST_CENTRE),
         deviation(vy, MOST_CENTRE),
-        1.0 / (1.0 + (-f64::from(w)).exp()),
+        shared::sigmoid(w.into()),
     ]
 }

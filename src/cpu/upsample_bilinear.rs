@@ -25,7 +25,7 @@ pub fn upsample_bilinear(input: &Tensor, out_height: usize, out_width: usize) ->
 }
 
 /// The two input pixels that output `i` lies between, and its distance from the first.
-fn between(i: usize, input: usize, output: usize) -> (usize, usize, f64) {
+pub fn between(i: usize, input: usize, output: usize) -> (usize, usize, f64) {
     let position = ((i as f64 + 0.5) * input as f64 / output as f64 - 0.5).max(0.0);
     let low = (position as usize).min(input - 1);
     (low, (low + 1).min(input - 1), position - low as f64)

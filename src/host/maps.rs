@@ -1,9 +1,10 @@
-//! Operations element by element on channels-last maps: gates, weighted sums, interpolation.
+//! Gates, weighted sums and interpolation on channels-last maps, and the gates of pixels.
 
 use rayon::prelude::*;
 
 use super::gemm::vectorised;
 use super::kernel::{Data, Kernel, Layout};
+use crate::cpu;
 use crate::shape::TensorSpec;
 
 /// Pixels that one task works on.
@@ -80,10 +81,8 @@ impl Bilinear {
         let axis = |dim: usize| {
             let (from, to) = (input.shape.0[dim], output.shape.0[dim]);
             let between = |i: usize| {
-                let position = ((i as f64 + 0.5) * from as f64 / to as f64 - 0.5).max(0.0);
-                let low = (position as usize).min(from - 1);
-                let along = (position - low as f64) as f32;
-                Between { low, high: (low + 1).min(from - 1), along }
+                let (low, high, along) = cpu::between(i, from, to);
+                Between { low, high, along: along as f32 }
             };
             (0..to).map(between).collect()
         };
@@ -117,14 +116,14 @@ impl Kernel for Bilinear {
 
 /// `sigmoid` of a 7×7 convolution of a map of two planes.
 #[derive(Debug)]
-pub(super) struct SpatialLogits {
+pub(super) struct SpatialGates {
     height: usize,
     width: usize,
     weight: Vec<f32>,
     bias: f32,
 }
 
-impl SpatialLogits {
+impl SpatialGates {
     pub fn new(input: &TensorSpec, weight: &[f32], bias: f32) -> Self {
         let [height, width] = [1, 2].map(|i| input.shape.0[i]);
         Self { height, width, weight: weight.to_vec(), bias }
@@ -134,7 +133,7 @@ impl SpatialLogits {
 /// Taps on each side of the middle one.
 const REACH: usize = 3;
 
-impl Kernel for SpatialLogits {
+impl Kernel for SpatialGates {
     fn input_layout(&self, _index: usize) -> Layout {
         Layout::Planar
     }

@@ -89,7 +89,7 @@ fn kernel(
         let (Some(weight), Some(bias)) = (constant(1), constant(2)) else { return Ok(None) };
         let (weight, bias) = (weight.get()?, bias.get()?);
         let logits =
-            maps::SpatialLogits::new(&inputs[0], weight.f32()?.data(), bias.f32()?.data()[0]);
+            maps::SpatialGates::new(&inputs[0], weight.f32()?.data(), bias.f32()?.data()[0]);
         return Ok(Some(Box::new(logits)));
     }
     if any.is::<ApplyGates>() {

@@ -41,6 +41,7 @@ mod weighted_sum;
 use std::any::Any;
 use std::fmt::Debug;
 
+pub use crate::cpu::MAX_WORKGROUPS;
 use crate::error::{Error, Result};
 use crate::graph::TensorId;
 use crate::ops::{Op, Tolerance};
@@ -52,9 +53,7 @@ use crate::tensor::Value;
 pub(crate) use convert::Convert;
 pub use layout::{Layout, Quads};
 use plain::Plain;
-pub use recording::{
-    Command, Dispatch, Grid, MAX_WORKGROUPS, Recording, Role, Stage, Storage, TensorInfo,
-};
+pub use recording::{Command, Dispatch, Grid, Recording, Role, Stage, Storage, TensorInfo};
 use recording::{all_texels, of_maps, texels};
 
 /// What kernels ask of an adapter.

@@ -1,5 +1,6 @@
 //! A device-free list of dispatches and copies over named tensors.
 
+use crate::cpu::MAX_WORKGROUPS;
 use crate::error::{Error, Result};
 use crate::graph::TensorId;
 use crate::kernels::{Caps, Layout, Quads};
@@ -85,9 +86,6 @@ pub enum Grid {
     /// Three u32, from this byte on, of a tensor that an earlier dispatch wrote.
     Indirect(TensorId, u64),
 }
-
-/// Largest number of workgroups that every adapter allows a dimension.
-pub const MAX_WORKGROUPS: u32 = 65_535;
 
 impl Grid {
     /// One-dimensional work of `threads` invocations in workgroups of `size`, folded to two

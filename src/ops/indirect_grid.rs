@@ -1,6 +1,6 @@
 //! Workgroups of an indirect dispatch from a count on the device.
 
-use crate::cpu;
+use crate::cpu::{self, MAX_WORKGROUPS};
 use crate::error::{Error, Result};
 use crate::ops::case::{Case, integers};
 use crate::ops::count::{expect_count, live};
@@ -18,14 +18,11 @@ pub static ENTRY: Entry = Entry {
         Param::required("capacity", "100", Range::Whole(1, u32::MAX as u64)),
         Param::optional("items_per_count", "1", Range::Whole(1, u32::MAX as u64)),
         Param::optional("workgroup_size", "64", Range::Whole(1, 256)),
-        Param::optional("layers", "1", Range::Whole(1, 65_535)),
+        Param::optional("layers", "1", Range::Whole(1, MAX_WORKGROUPS as u64)),
     ],
     build,
     cases,
 };
-
-/// Largest number of workgroups a dimension may have.
-const MAX_WORKGROUPS: u32 = 65_535;
 
 /// Workgroups that cover `count · items_per_count` invocations.
 ///

@@ -3,6 +3,7 @@
 // most half the kernel.
 
 // include: index
+// include: window
 
 struct Params {
     channels: u32,
@@ -18,15 +19,6 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> input: array<f32>;
 @group(0) @binding(2) var<storage, read_write> output: array<f32>;
-
-// The pixels start..end of an axis of `length` pixels that window `i` sees.
-fn window(i: u32, length: u32) -> vec2<u32> {
-    let start = i * params.stride;
-    return vec2<u32>(
-        max(start, params.padding) - params.padding,
-        min(start + params.kernel - params.padding, length),
-    );
-}
 
 // By its bits: WGSL lets a compiler assume that a comparison sees no NaN.
 fn is_nan(x: f32) -> bool {

@@ -6,6 +6,7 @@
 
 // include: quads
 // include: texels
+// include: window
 
 struct Params {
     input: Quads,
@@ -19,15 +20,6 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> input: array<Texel>;
 @group(0) @binding(2) var<storage, read_write> output: array<OutputTexel>;
-
-// The pixels start..end of an axis of `length` pixels that window `i` sees.
-fn window(i: u32, length: u32) -> vec2<u32> {
-    let start = i * params.stride;
-    return vec2(
-        max(start, params.padding) - params.padding,
-        min(start + params.kernel - params.padding, length),
-    );
-}
 
 // By its bits: WGSL lets a compiler assume that a comparison sees no NaN.
 fn is_nan(x: vec4<f32>) -> vec4<bool> {

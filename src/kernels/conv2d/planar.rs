@@ -1,5 +1,6 @@
 //! On planar maps.
 
+use super::padded_bias;
 use crate::error::{Error, Result};
 use crate::kernels::{Caps, Dispatch, Grid, Io, Kernel, MAX_WORKGROUPS, Recording, Work};
 use crate::ops::conv2d::CHANNELS;
@@ -58,13 +59,7 @@ impl Kernel for Planar {
         let padded = (out_c as usize).next_multiple_of(CHANNELS);
         let spec = TensorSpec::f32([kh as usize, kw as usize, in_c as usize, padded]);
         let packed = recording.weights(op.name(), weight)?.packed(spec, pack_weight);
-        let padded = match bias {
-            Some(id) => {
-                let bias = recording.weights(op.name(), *id)?;
-                bias.packed(TensorSpec::f32([padded]), pad_bias)
-            }
-            None => Tensor::<f32>::zeros([padded]).into(),
-        };
+        let padded = padded_bias(op, recording, bias, out_c as usize, CHANNELS)?;
         let weight = recording.constant(format!("{name} (packed)"), packed);
         let bias = recording.constant(format!("{name} (bias)"), padded);
         let tiles = (out_h * out_w).div_ceil(PIXELS as u32);
@@ -121,9 +116,4 @@ fn pack_weight(weight: &Tensor) -> Tensor {
         }
     }
     packed
-}
-
-fn pad_bias(bias: &Tensor) -> Tensor {
-    let padded = bias.data().len().next_multiple_of(CHANNELS);
-    Tensor::from_fn([padded], |i| bias.data().get(i).copied().unwrap_or(0.0))
 }

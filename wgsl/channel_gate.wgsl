@@ -17,7 +17,7 @@ const WORKGROUP: u32 = 256u;
 // Rows of fc1 at a time; the invocations of a row share its columns.
 const ROWS: u32 = 16u;
 const LANES: u32 = WORKGROUP / ROWS;
-// `CAPACITY` in src/ops/channel_gate.rs.
+// `CAPACITY` in src/kernels/channel_gate.rs.
 const CAPACITY: u32 = 1024u;
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -22,7 +22,7 @@ static SHADER: Shader = Shader {
 /// Hidden units that fit in the shader's workgroup memory.
 const CAPACITY: usize = 1024;
 
-/// The definition, on planar maps.
+/// The definition.
 pub(super) static PLANAR: Plain = Plain { id: "channel_gate/planar", shader: &SHADER, dispatch };
 
 fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {

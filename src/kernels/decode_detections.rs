@@ -25,7 +25,7 @@ static SHADER: Shader = Shader {
     params: PARAMS,
 };
 
-/// The definition, on planar maps.
+/// The definition.
 #[derive(Debug)]
 pub(super) struct Planar;
 

@@ -20,7 +20,7 @@ static SHADER: Shader = Shader {
     params: PARAMS,
 };
 
-/// The definition, on planar maps.
+/// The definition.
 pub(super) static PLANAR: Plain = Plain { id: "gather_rows/planar", shader: &SHADER, dispatch };
 
 fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {

@@ -27,7 +27,7 @@ static SHADER: Shader = Shader {
 /// Grids that one dispatch computes.
 pub(crate) const MOST: usize = 16;
 
-/// The definition, on planar maps.
+/// The definition.
 pub(super) static PLANAR: Plain = Plain { id: "indirect_grid/planar", shader: &SHADER, dispatch };
 
 fn dispatch(work: &Work, _: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {

@@ -25,7 +25,7 @@ shader_params! {
 static SHADER: Shader =
     Shader { stem: "nms", source: include_str!("../../wgsl/nms.wgsl"), params: PARAMS };
 
-/// The definition, on planar maps.
+/// The definition.
 #[derive(Debug)]
 pub(super) struct Planar;
 

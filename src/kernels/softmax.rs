@@ -22,7 +22,7 @@ static SHADER: Shader =
 /// Invocations of the workgroup that computes a row.
 const LANES: u32 = 64;
 
-/// The definition, on planar maps.
+/// The definition.
 pub(super) static PLANAR: Plain = Plain { id: "softmax/planar", shader: &SHADER, dispatch };
 
 fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {

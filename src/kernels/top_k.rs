@@ -26,7 +26,7 @@ const MAX_K: usize = 1024;
 /// Scores whose index fits in the shader's 24 bits.
 const MAX_SCORES: usize = 1 << 24;
 
-/// The definition, on planar maps.
+/// The definition.
 pub(super) static PLANAR: Plain = Plain { id: "top_k/planar", shader: &SHADER, dispatch };
 
 fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<Dispatch> {

@@ -25,7 +25,7 @@ const LANES: usize = 16;
 /// CBAM's channel gate: `sigmoid(f(average) + f(maximum))`, `f(x) = fc2(relu(fc1(x)))`.
 ///
 /// Inputs: `pooled [2, C]` from [`ChannelPool`](crate::ops::ChannelPool), `fc1_weight [R, C]`,
-/// `fc1_bias [R]`, `fc2_weight [C, R]`, `fc2_bias [C]`, R at most 1024. Output: `output [C]`.
+/// `fc1_bias [R]`, `fc2_weight [C, R]`, `fc2_bias [C]`, R at most 1024 on a GPU. Output: `output [C]`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ChannelGate;
 

@@ -237,7 +237,7 @@ fn check_size(op: &str, tensor: &str, spec: &TensorSpec) -> Result<()> {
     Ok(())
 }
 
-/// The dimensions of `spec` if it has rank `N` and type f32.
+/// The dimensions of `spec` if it has rank `N` and this type.
 ///
 /// # Errors
 /// [`Error::Tensor`] that names the operation and the tensor.

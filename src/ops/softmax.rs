@@ -12,7 +12,7 @@ use crate::tensor::{Tensor, Value};
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "softmax",
-    takes: "input [N, C] or [C]; optional: count u32 [1]",
+    takes: "input [R, N] or [N]; optional: count u32 [1]",
     gives: "output like input",
     params: &[Param::optional("temperature", "1", Range::Number(1e-3, 1e3))],
     build,

@@ -27,7 +27,7 @@ pub static ENTRY: Entry = Entry {
 /// `[1]`, which is how many of the K are written: min(k, N, the input's count).
 #[derive(Clone, Copy, Debug)]
 pub struct TopK {
-    /// How many, at most 1024 (or the number of scores, if that is less).
+    /// How many, or all scores if those are fewer; on a GPU at most 1024.
     pub k: usize,
     /// Whether a count limits the scores.
     pub count: bool,

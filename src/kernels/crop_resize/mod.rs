@@ -1,4 +1,4 @@
-//! A square crop of a picture, resized and normalised.
+//! A part of a picture, resized and normalised.
 
 mod planar;
 mod quads;

@@ -33,7 +33,7 @@ const ROWS: u32 = 8;
 /// Invocations of a workgroup, each with four outputs.
 const LANES: usize = 64;
 
-/// The definition, on planar maps.
+/// The definition.
 #[derive(Debug)]
 pub(in crate::kernels) struct Planar;
 

@@ -1,7 +1,7 @@
 //! `smr-gpu calibrate`: a sensor file from real presses of a ball.
 
 use std::io::Cursor;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use image::ImageFormat;
 use smr_gpu::files::Outputs;
@@ -150,7 +150,8 @@ fn scale(report: &Report) -> String {
     }
 }
 
-/// A file's name for a file that may lie elsewhere: relative to the other's folder if it is below it.
+/// A file's name for a file that may lie elsewhere: relative to the other's folder, so that both can be moved
+/// together, unless they have nothing in common.
 fn from_beside(other: &Path, file: &Path) -> PathBuf {
     let folder = match other.parent() {
         Some(parent) if parent != Path::new("") => parent,
@@ -159,5 +160,29 @@ fn from_beside(other: &Path, file: &Path) -> PathBuf {
     let (Ok(folder), Ok(file)) = (folder.canonicalize(), file.canonicalize()) else {
         return file.to_path_buf();
     };
-    file.strip_prefix(folder).map(Path::to_path_buf).unwrap_or(file)
+    relative(&folder, &file)
+}
+
+/// The way from a folder to a file, both absolute; the file's own name where only the root is common.
+fn relative(folder: &Path, file: &Path) -> PathBuf {
+    let common = folder.components().zip(file.components()).take_while(|(a, b)| a == b).count();
+    if common <= 1 {
+        return file.to_path_buf();
+    }
+    let up = folder.components().skip(common).map(|_| Component::ParentDir);
+    up.chain(file.components().skip(common)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reference_is_named_from_the_sensor_file() {
+        let to = |folder, file| relative(Path::new(folder), Path::new(file));
+        assert_eq!(to("/a/b", "/a/b/c/x.png"), Path::new("c/x.png"));
+        assert_eq!(to("/a/b/c", "/a/d/x.png"), Path::new("../../d/x.png"));
+        assert_eq!(to("/a/b", "/a/bc/x.png"), Path::new("../bc/x.png"));
+        assert_eq!(to("/a/b", "/d/x.png"), Path::new("/d/x.png"));
+    }
 }

@@ -80,9 +80,12 @@ impl Plan {
     }
 
     /// Combinations of what the front of a table has, without what was measured: first with what is
-    /// fastest. Where the front has few, also the other networks at the other sizes.
+    /// fastest. Where the front has few, also the other networks at the other sizes. All of one picture at
+    /// a time, as [`Table::choose`] takes them.
     pub fn combinations(&self, table: &Table) -> Vec<Setup> {
-        let front: Vec<&Setup> = table.front().into_iter().map(|row| &row.setup).collect();
+        let mut alone = table.clone();
+        alone.rows.retain(|row| row.setup.batch <= 1);
+        let front: Vec<&Setup> = alone.front().into_iter().map(|row| &row.setup).collect();
         let mut found: Vec<Setup> = Vec::new();
         let mut add = |setup: Setup| {
             let is_new = !self.single.contains(&setup) && !found.contains(&setup);
@@ -215,8 +218,10 @@ mod tests {
         let plan = Plan::new(&weights, &sizes, None, 4);
         assert_eq!(plan.single.len(), 9);
         assert!(plan.single.iter().all(|s| s.device == "cpu" && s.kernels.is_empty()));
-        let time =
-            |s: &Setup| if s.weights == "small" { 1.0 } else { s.size.unwrap_or(320) as f64 };
+        let time = |s: &Setup| match s.weights == "small" {
+            true => 1.0,
+            false => s.size.unwrap_or(320) as f64 / s.batch as f64,
+        };
         let rows = |error: &dyn Fn(&Setup) -> f64| {
             plan.single.iter().map(|s| row(s, time(s), error(s))).collect::<Vec<_>>()
         };
@@ -227,6 +232,7 @@ mod tests {
             let twice = |(i, s): (usize, &&Setup)| all[..i].contains(s);
             assert!(!all.iter().enumerate().any(twice), "{all:?}");
             assert!(found.len() <= MOST_COMBINED && found.iter().any(|s| s.weights == "small"));
+            assert!(found.iter().all(|s| s.batch == 1), "{found:?}");
         }
     }
 }

@@ -390,7 +390,7 @@ impl Sensor {
             let rounding = SAME_SHAPE as f32 * all;
             let shown = from >= -rounding && to <= all + rounding;
             let (from, to) = (from.max(0.0), to.min(all));
-            (shown && from < to).then(|| (from as u32, (to - from) as u32))
+            (shown && from < to).then_some((from as u32, (to - from) as u32))
         };
         let (x, width) = side(0, view.part.x, view.part.width)?;
         let (y, height) = side(1, view.part.y, view.part.height)?;

@@ -149,6 +149,8 @@ impl Tolerance {
         let rounded = precision.decode(&precision.encode(reference.data()));
         let limits = reference.data().iter().zip(rounded).enumerate();
         let limits = limits.map(|(i, (x, rounded))| match (f64::from(*x), &self) {
+            // An infinity less itself would be no bound.
+            (x, Self::Exact) if f64::from(rounded) == x => 0.0,
             (x, Self::Exact) => (f64::from(rounded) - x).abs(),
             (x, own) => precision.stored_error(x, own.limit(i)),
         });

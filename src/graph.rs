@@ -165,13 +165,14 @@ impl Graph {
 
     /// Checks that a constant has a name of its own.
     fn check_name(&self, op: &str, id: TensorId) -> Result<()> {
-        let constants = self.tensors.iter().enumerate();
-        let constants = constants.filter(|(_, t)| matches!(t.source, Source::Constant { .. }));
-        let alike = constants.filter(|(_, tensor)| tensor.name == self.name(id));
-        let places: Vec<usize> = alike.map(|(place, _)| place).collect();
-        if places.len() > 1 && places.contains(&id.0) {
-            let got = format!("{} of this name", places.len());
-            return Err(Error::tensor(op, self.name(id), "one constant of this name", got));
+        let is_constant =
+            |place: usize| matches!(self.tensors[place].source, Source::Constant { .. });
+        let name = self.name(id);
+        let another = |(place, tensor): (usize, &GraphTensor)| {
+            place != id.0 && is_constant(place) && tensor.name == name
+        };
+        if is_constant(id.0) && self.tensors.iter().enumerate().any(another) {
+            return Err(Error::tensor(op, name, "one constant of this name", "another"));
         }
         Ok(())
     }

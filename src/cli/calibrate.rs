@@ -11,7 +11,7 @@ use smr_gpu::simulator::calibrate::{
 };
 
 use super::exit::{Exit, Failure};
-use super::output::{count, line, tell};
+use super::output::{count, folder_name, line, tell};
 
 /// Fit a sensor to pictures of a ball pressed into it
 ///
@@ -101,8 +101,7 @@ fn write(
         tell(format!("{}: for --sensor", path.display()));
     }
     if let Some(path) = &args.optics {
-        let folder = args.presses.canonicalize().unwrap_or_else(|_| args.presses.clone());
-        let name = folder.file_name().unwrap_or_default().to_string_lossy();
+        let name = folder_name(&args.presses);
         let mut fitted = vec![report.optics(&name).map_err(unreadable)?];
         for file in sensors {
             fitted.push(read_sensor(file).map_err(unreadable)?);

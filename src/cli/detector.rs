@@ -205,9 +205,7 @@ impl AdapterArgs {
             }
         }
     }
-}
 
-impl AdapterArgs {
     /// Opens the adapter, with the network's limit on each run.
     ///
     /// # Errors

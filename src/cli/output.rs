@@ -2,6 +2,7 @@
 
 use std::fmt::Display;
 use std::io::{ErrorKind, Write};
+use std::path::Path;
 
 use serde::Serialize;
 
@@ -13,6 +14,12 @@ use super::stdout;
 pub(super) fn tell(message: impl Display) {
     // If stderr is gone, nobody is left to be told.
     let _ = writeln!(std::io::stderr(), "smr-gpu: {}", printable(message));
+}
+
+/// A folder's own name, after which what is written of it is called, also where the path ends with `.` or `..`.
+pub(super) fn folder_name(path: &Path) -> String {
+    let name = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
+    name(path).or_else(|| name(&path.canonicalize().ok()?)).unwrap_or_default()
 }
 
 /// Writes a line for people to stdout.

@@ -67,11 +67,11 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         bar.set_position(done as u64);
     })?;
     bar.finish_and_clear();
-    let kept = match Tuned::read(&path, &gpu) {
-        Ok(earlier) => tuned.clone().beside(earlier),
-        // Not there, or of no use here.
-        Err(_) => tuned.clone(),
-    };
+    let mut kept = tuned.clone();
+    // Else it is not there, or of no use here.
+    if let Ok(earlier) = Tuned::read(&path, &gpu) {
+        kept = kept.beside(earlier);
+    }
     // First of all: stdout's reader may go away.
     files.write(&path, kept.to_json().as_bytes())?;
     tell(format!("{} ({}): kept in {}", gpu.info().name, gpu.info().backend, path.display()));

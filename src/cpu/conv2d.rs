@@ -24,13 +24,19 @@ impl ConvShape {
         Some(padded.checked_sub(span)? / self.stride + 1)
     }
 
-    /// Bytes of the copy that [`conv2d`] makes of an input `[I, H, W]` for a kernel of so many columns.
+    /// Elements of a row and of a channel of the copy that [`conv2d`] makes of an input for a kernel of so many
+    /// columns: its rows with their padding, and zeros behind them as far as a tap reaches.
+    fn copied(&self, [height, width]: [usize; 2], columns: usize) -> [usize; 2] {
+        let [high, wide] =
+            [height, width].map(|n| n.saturating_add(self.padding.saturating_mul(2)));
+        let behind = columns.saturating_mul(self.dilation);
+        [wide, high.saturating_mul(wide).saturating_add(behind)]
+    }
+
+    /// Bytes of that copy, of an input `[I, H, W]`.
     pub fn copied_bytes(&self, [channels, height, width]: [usize; 3], columns: usize) -> u64 {
-        let [height, width] =
-            [height, width].map(|n| n.saturating_add(self.padding.saturating_mul(2)) as u64);
-        let behind = (columns as u64).saturating_mul(self.dilation as u64);
-        let plane = height.saturating_mul(width).saturating_add(behind);
-        plane.saturating_mul(channels as u64).saturating_mul(8)
+        let [_, plane] = self.copied([height, width], columns);
+        (plane as u64).saturating_mul(channels as u64).saturating_mul(8)
     }
 }
 
@@ -75,7 +81,7 @@ struct Padded {
     kernel: [usize; 2],
     /// Length of a row.
     width: usize,
-    /// Elements of a channel: its rows, and zeros behind them as far as a tap reaches.
+    /// Elements of a channel, see [`ConvShape::copied`].
     plane: usize,
     values: Vec<f64>,
 }
@@ -83,8 +89,7 @@ struct Padded {
 impl Padded {
     fn new(input: &Tensor, shape: ConvShape, kernel: [usize; 2]) -> Self {
         let [channels, height, width] = [0, 1, 2].map(|i| input.dims()[i]);
-        let wide = width + 2 * shape.padding;
-        let plane = (height + 2 * shape.padding) * wide + kernel[1] * shape.dilation;
+        let [wide, plane] = shape.copied([height, width], kernel[1]);
         let mut values = vec![0.0; channels * plane];
         for (row, from) in input.data().chunks_exact(width).enumerate() {
             let (channel, y) = (row / height, row % height);

@@ -70,8 +70,8 @@ impl Surface {
     /// `x_mm`, `y_mm`.
     ///
     /// It solves `x = x_mm (1 − depth(x) / distance)` about the middle of the picture,
-    /// [`Camera::project`] backwards, in two steps from the flat gel. A step shrinks the error by the slope times `x_mm / distance`, which is
-    /// 0.16 for a slope of 1 at the gel's edge.
+    /// [`Camera::project`] backwards, in two steps from the flat gel. A step shrinks the error by the
+    /// slope times `x_mm / distance`, which is 0.16 for a slope of 1 at the gel's edge.
     pub fn seen(&self, camera: &Camera, x_mm: f64, y_mm: f64) -> SurfacePoint {
         self.seen_from(camera, x_mm, y_mm, 2).1
     }

@@ -11,7 +11,6 @@ import torch
 
 import weightfile
 from learner import measure_statistics
-from parts import cached
 from pool import AREA, Pool
 
 
@@ -32,8 +31,7 @@ def main() -> None:
         raise SystemExit(f"{args.weights[0]}: expected the tensors of {args.weights[1]}")
     second.load_state_dict({k: other[k].lerp(v, args.share) if v.is_floating_point() else v for k, v in state.items()})
     if args.statistics:
-        parts = [cached(folder, second.config.pixels_per_mm, args.cache) for folder in args.statistics]
-        measure_statistics(second, Pool.of(parts, second.config.pixels_per_mm), AREA, args.seed)
+        measure_statistics(second, Pool.of(args.statistics, second.config.pixels_per_mm, args.cache), AREA, args.seed)
     elif any("running" in k and not torch.equal(v, other[k]) for k, v in state.items()):
         raise SystemExit(f"{args.weights[1]}: expected the batch norm statistics of {args.weights[0]}; else give --statistics")
     weightfile.save(second, args.out)

@@ -11,7 +11,6 @@ from torch import nn
 import weightfile
 from learner import measure_statistics
 from model import NETWORKS, Config, SmrNet, Variant
-from parts import cached
 from pool import AREA, Pool
 
 
@@ -52,8 +51,8 @@ def main() -> None:
         model = SmrNet(Config.from_dict(json.loads(learner["config"])))
         model.load_state_dict(learner["ema"])
         if args.statistics:
-            parts = [cached(folder, model.config.pixels_per_mm, args.checkpoint.parent / "cache") for folder in args.statistics]
-            measure_statistics(model.to(memory_format=torch.channels_last), Pool.of(parts, model.config.pixels_per_mm), AREA, seed=1)
+            pool = Pool.of(args.statistics, model.config.pixels_per_mm, args.checkpoint.parent / "cache")
+            measure_statistics(model.to(memory_format=torch.channels_last), pool, AREA, seed=1)
         print(f"step {state['step']}, {state['seen']} pictures seen, {state['seconds'] / 60:.1f} min")
     else:
         variant = Variant(safe=not args.no_safe, msff=not args.no_msff, rw=not args.no_rw)

@@ -3,6 +3,8 @@
 A `Pool` takes parts up while it is in use. A batch depends on the pool, the step and the seed alone.
 """
 
+from pathlib import Path
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -10,7 +12,7 @@ from torch import Tensor
 import boxes as bx
 from augment import photometric
 from data import CLASSES, DIRECTED
-from parts import JITTER, SNAPS, Part
+from parts import JITTER, SNAPS, Part, cached
 from truth import Truth
 
 # Side of a step's views: one of these, or whole pictures in the rest of the steps.
@@ -62,8 +64,9 @@ class Pool:
         self.snaps = torch.empty(0, SNAPS, 7, device=device)
 
     @classmethod
-    def of(cls, parts: list[Part], pixels_per_mm: float) -> "Pool":
-        """On the CPU, with room for these parts and no more."""
+    def of(cls, folders: list[Path], pixels_per_mm: float, cache: Path) -> "Pool":
+        """Of COCO folders, on the CPU, with room for these and no more."""
+        parts = [cached(folder, pixels_per_mm, cache) for folder in folders]
         pool = cls(pixels_per_mm, sum(len(part.pixels) for part in parts), "cpu")
         for part in parts:
             pool.add(part)

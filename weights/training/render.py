@@ -41,7 +41,8 @@ def render(job: tuple) -> str:
     with tempfile.TemporaryDirectory(dir=out) as folder:
         command = [simulator, "simulate", "--out", f"{folder}/set", "--seed", str(seed), "--count", str(PICTURES), *shlex.split(options)]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env={**os.environ, "RAYON_NUM_THREADS": "1"})
-        misstate(Path(folder) / "set", times)
+        if times != 1:
+            misstate(Path(folder) / "set", times)
         parts.pack(Path(folder) / "set", pixels_per_mm, seed).save(out / f"{seed}.npz")
     return f"{seed} {options}" + (f", scale times {times}" if times != 1 else "")
 

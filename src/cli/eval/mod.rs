@@ -20,7 +20,7 @@ use smr_gpu::{Detections, Frame, GpuDetector};
 use super::detector::{self, Assumed, DetectorArgs, fraction};
 use super::draw::Gallery;
 use super::exit::{Exit, Failure, told};
-use super::output::{json_line, tell};
+use super::output::{folder_name, json_line, tell};
 use super::picture;
 use super::source::Source;
 
@@ -285,12 +285,6 @@ fn look_at(
         progress.inc(1);
     }
     Ok(set)
-}
-
-/// A folder's own name, also where the path ends with `.` or `..`.
-fn folder_name(path: &Path) -> String {
-    let name = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
-    name(path).or_else(|| name(&path.canonicalize().ok()?)).unwrap_or_default()
 }
 
 fn style() -> ProgressStyle {

@@ -10,7 +10,7 @@ use smr_gpu::Sensor;
 use smr_gpu::simulator::Error;
 use smr_gpu::simulator::calibrate::{self, Ball};
 use smr_gpu::simulator::camera::{Camera, NormalTable};
-use smr_gpu::simulator::conditions::{Conditions, TYPICAL_CONTRAST};
+use smr_gpu::simulator::conditions::{Conditions, UNIT_CONTRAST};
 use smr_gpu::simulator::contact::{Contact, NO_BODY, Stop, solve};
 use smr_gpu::simulator::dataset::{Progress, Settings, Step, scene_seed, simulate};
 use smr_gpu::simulator::distractors::{Distractor, Part};
@@ -280,6 +280,10 @@ fn noise_is_45_db_at_saturation() {
         assert_close(variance, expected, 0.03, "variance");
         assert!(bytes.iter().step_by(3).all(|&b| b == 0), "another channel was written");
     }
+    // Far past the brightest level the noise does not come back below it.
+    let mut bytes = vec![0u8; count];
+    camera.digitise(&vec![300.0; count], &table, &mut rng, &mut bytes, 0, 1);
+    assert!(bytes.iter().all(|&b| b == 255), "a saturated pixel flickers");
 }
 
 #[test]
@@ -653,11 +657,17 @@ fn a_broken_calibration_names_its_file() {
     }
 
     let yaml = folder.path().join("x.yaml");
-    std::fs::write(&yaml, "quadfit: \n    rows: 6\n    cols: 10\n    values: [1, 2]\n")
-        .expect("a file");
-    assert_eq!(calibrate::sensor_files(folder.path()).expect("one"), [yaml.as_path()]);
-    let error = calibrate::read_sensor(&yaml).expect_err("too few numbers");
-    assert!(error.to_string().contains("2 numbers"), "{error}");
+    let numbers = "quadfit: \n    rows: 6\n    cols: 10\n    values: [1, 2]\n";
+    for (size, missing) in [
+        ("", "modelsize: (width, height), found no such size"),
+        ("    modelsize: (600, 0)\n", "found no such size"),
+        ("    modelsize: (600, 400)\n", "found 2 numbers"),
+    ] {
+        std::fs::write(&yaml, format!("{numbers}flatfield: \n{size}")).expect("a file");
+        assert_eq!(calibrate::sensor_files(folder.path()).expect("one"), [yaml.as_path()]);
+        let error = calibrate::read_sensor(&yaml).expect_err("not a calibration");
+        assert!(error.to_string().contains(missing), "{error}");
+    }
 }
 
 #[test]
@@ -888,8 +898,8 @@ fn scene_seeds_of_different_data_sets_differ() {
     }
 }
 
-/// A picture of the plain distribution before there was another: 64 levels, of pixel
-/// (61 + 125 (n mod 8), 61 + 125 (n div 8)) the channel n mod 3, and the boxes.
+/// A picture of the plain distribution: 64 levels, of pixel (61 + 125 (n mod 8), 61 + 125 (n div 8))
+/// the channel n mod 3, and the boxes.
 #[derive(serde::Deserialize)]
 struct PlainPicture {
     mix: Mix,
@@ -899,7 +909,7 @@ struct PlainPicture {
 }
 
 #[test]
-fn plain_pictures_stay_what_they_were() {
+fn plain_pictures_stay_what_they_are() {
     let pictures: Vec<PlainPicture> =
         serde_json::from_str(include_str!("data/plain_pictures.json")).expect("JSON");
     let mut renderer = Renderer::new();
@@ -1329,7 +1339,8 @@ fn a_hook_s_yaw_leads_to_where_the_picture_changes_most() {
         }
         let (sin, cos) = label.yaw_deg.expect("a hook has one").to_radians().sin_cos();
         let along = (way[0] * cos + way[1] * sin) / sum * MM_PER_PX;
-        assert!(along > 0.2, "seed {seed}: {along} mm along {:?}", label.yaw_deg);
+        // An imprint of two equal halves gives 0, and one pixel is 0.04 mm.
+        assert!(along > 0.1, "seed {seed}: {along} mm along {:?}", label.yaw_deg);
     }
 }
 
@@ -1435,11 +1446,12 @@ fn wide_scenes_are_balanced() {
 }
 
 #[test]
-fn contrast_is_told_in_a_plain_sensor_s() {
+fn contrasts_are_those_of_real_lights() {
     let mut rng = Pcg64::seed_from_u64(8);
     let mut contrasts: Vec<f64> = (0..1001).map(|_| Shading::sample(&mut rng).contrast()).collect();
     contrasts.sort_by(f64::total_cmp);
-    assert_close(contrasts[500], TYPICAL_CONTRAST, 0.1, "median contrast");
+    // Single lights of the measured sensors have 0.29 to 0.56; a channel mixes some of them.
+    assert_close(contrasts[500], 1.2 * UNIT_CONTRAST, 0.1, "median contrast");
     for colour in [0.0, 0.5, 1.0] {
         let shading = Shading::sample_wide(&mut rng, colour, 0.3);
         assert_close(shading.contrast(), 0.3, 1e-9, "measured");

@@ -73,7 +73,7 @@ pub(super) struct Args {
     ///   frame       paper, gelsight-mini or WIDTHxHEIGHT@MM_PER_PIXEL
     ///   scale       of things beside the frame's own, as far as fields of 10 to 60 mm go
     ///   optics      measured or lamps
-    ///   strength    of the shading; 1 is the paper's
+    ///   strength    of the shading; at 1 a slope of a half changes the brightness by a tenth
     ///   shadows     share of a light that its shadows take away
     ///   colour      of the lights: 0 grey, 1 each of its own; negative: one channel
     ///   exposure    factor on the brightness

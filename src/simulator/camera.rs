@@ -125,11 +125,11 @@ impl Camera {
         for values in plane.chunks(NormalTable::PER_WORD) {
             let mut bits = rng.next_u64();
             for &value in values {
-                let level = value.clamp(0.0, 255.0);
-                let noise = table[level as usize] * normal.value(bits);
+                // What is past the brightest level stays there, noise or not.
+                let noise = table[value.clamp(0.0, 255.0) as usize] * normal.value(bits);
                 bits >>= NormalTable::BITS;
                 if let Some(target) = targets.next() {
-                    *target = (level + noise + 0.5).clamp(0.0, 255.0) as u8;
+                    *target = (value + noise + 0.5).clamp(0.0, 255.0) as u8;
                 }
             }
         }

@@ -8,7 +8,7 @@
 use std::path::PathBuf;
 
 use super::Error;
-use super::conditions::{Conditions, Optics, TYPICAL_CONTRAST};
+use super::conditions::{Conditions, Optics, UNIT_CONTRAST};
 use super::forced::{Forced, Span};
 use super::frame::{Frame, SIDE_PX};
 use super::label::PixelBox;
@@ -135,7 +135,7 @@ impl Given {
             conditions.colour = conditions.colour.max(0.0);
         }
         if let Some(shading) = &self.shading {
-            conditions.strength = shading.contrast() / TYPICAL_CONTRAST;
+            conditions.strength = shading.contrast() / UNIT_CONTRAST;
         }
     }
 

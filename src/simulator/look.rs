@@ -14,7 +14,7 @@ use rand_pcg::Pcg64;
 
 use super::camera::{Camera, NormalTable};
 use super::coating::Coating;
-use super::conditions::{Conditions, Optics, TYPICAL_CONTRAST};
+use super::conditions::{Conditions, Optics, UNIT_CONTRAST};
 use super::frame::Frame;
 use super::label::PixelBox;
 use super::lamps::Lamps;
@@ -131,7 +131,7 @@ impl Look {
     /// Draws a sensor under these conditions.
     pub fn wide(rng: &mut Pcg64, camera: Camera, conditions: &Conditions) -> Self {
         let frame = camera.frame;
-        let contrast = conditions.strength * TYPICAL_CONTRAST;
+        let contrast = conditions.strength * UNIT_CONTRAST;
         let light = match conditions.optics {
             Optics::Measured => {
                 let shading = Shading::sample_wide(rng, conditions.colour, contrast);
@@ -163,7 +163,7 @@ impl Look {
         coating.set_mottle(conditions.mottle);
         coating.set_colour(rng, conditions.colour);
         // However long the exposure, slopes away from the light must still show. The label keeps it.
-        coating.limit_level(rng.random_range(150.0..265.0) / conditions.exposure);
+        coating.limit_level(rng.random_range(150.0..330.0) / conditions.exposure);
         let markers = (conditions.markers_mm > 0.0)
             .then(|| Markers::sample(rng, conditions.markers_mm, frame.mm_per_pixel));
         let longer = frame.longer_px() as f64;

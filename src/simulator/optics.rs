@@ -149,7 +149,7 @@ impl Shading {
         };
         let colour = colour.unwrap_or(drawn);
         let strength = rng.random_range(0.75..1.3);
-        let locality = rng.random_range(0.3..0.8);
+        let locality = rng.random_range(0.4..1.0);
         let channels = [(); 3].map(|()| {
             let own = weights(rng);
             let mut channel = [[0.0; POSITION_TERMS]; NORMAL_TERMS];

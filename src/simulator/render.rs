@@ -8,7 +8,7 @@ use rand_pcg::Pcg64;
 
 use super::Error;
 use super::camera::Camera;
-use super::conditions::{Conditions, Distribution, Mechanics, Optics, TYPICAL_CONTRAST};
+use super::conditions::{Conditions, Distribution, Mechanics, Optics, UNIT_CONTRAST};
 use super::contact::{Contact, Stop, solve};
 use super::dataset::scene_seed;
 use super::distractors::Part;
@@ -228,11 +228,7 @@ impl Renderer {
         let layer = Layer { thickness_mm: conditions.gel_mm, ..Layer::default() };
         // Millimetres begin in the middle of the gel, as the contact's grid does.
         camera.origin_mm = camera.flat_place(middle[0], middle[1]);
-        let shown_mm = match &request.sensor {
-            Some(_) => shown(&camera, gel, field_mm),
-            None => field_mm,
-        };
-        let gel_mm = shown_mm.map(|side| side + 2.0 * BEYOND_MM);
+        let gel_mm = shown(&camera, gel, field_mm).map(|side| side + 2.0 * BEYOND_MM);
         let grid = contact_grid(&frame, gel_mm);
         if self
             .wide
@@ -340,7 +336,7 @@ fn plain_conditions(look: &Look, layer: Layer, window: PixelBox) -> Conditions {
         optics: Optics::Measured,
         mechanics: Mechanics::Elastic,
         gel_mm: layer.thickness_mm,
-        strength: contrast / TYPICAL_CONTRAST,
+        strength: contrast / UNIT_CONTRAST,
         shadows: 0.0,
         colour: look.coating.colour(),
         exposure: look.exposure.into(),

@@ -217,8 +217,9 @@ impl Hook {
                 (face + self.land - x) * sin + (high - y) * cos
             }
         };
-        // The lead-in ends at the arm, whose tip stays square.
         let barb = retention.min(high - y).min(lead).min(y - arm_top + self.thickness / 2.0);
+        // A ramp goes on into the arm; other lead-ins end on it, and its tip stays square.
+        let arm = if self.barb == Barb::Ramp { arm.min(lead) } else { arm };
         arm.max(barb.min(half - x))
     }
 }
@@ -460,5 +461,36 @@ impl Snap {
             }
             Self::Stud(s) => s.diameter / 2.0,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A hook of 8 mm on its side, whose arm lies from −1 to 0.2 mm in y and whose barb reaches 1 mm.
+    /// Its lead-in of 45° comes down to 0.35 × 1.2 = 0.42 mm below the arm's upper side at the tip.
+    #[test]
+    fn a_ramp_cuts_the_arm_s_tip() {
+        let hook = Hook {
+            length: 8.0,
+            width: 4.0,
+            taper: 1.0,
+            thickness: 1.2,
+            undercut: 0.8,
+            land: 0.5,
+            lead_in: 45f64.to_radians(),
+            fillet: 0.1,
+            corner: 0.3,
+            barb: Barb::Ramp,
+            on_side: Some(Side::Left),
+            wall: false,
+        };
+        // Just inside of the tip, to either side of the slope.
+        assert!(hook.profile(3.95, -0.30) > 0.0, "the lower part of the tip is there");
+        assert!(hook.profile(3.95, -0.02) < 0.0, "the upper part is cut away");
+        // Another lead-in ends on the arm.
+        let blunt = Hook { barb: Barb::TwoRamps(45f64.to_radians()), ..hook };
+        assert!(blunt.profile(3.9, 0.0) > 0.0, "the tip is square");
     }
 }

@@ -128,8 +128,8 @@ impl Origin {
 /// Raised when the same seed would give another picture.
 fn simulator(conditions: Distribution) -> u32 {
     match conditions {
-        Distribution::Plain => 2,
-        Distribution::Wide => 4,
+        Distribution::Plain => 3,
+        Distribution::Wide => 5,
     }
 }
 

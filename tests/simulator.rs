@@ -13,7 +13,7 @@ use smr_gpu::simulator::camera::{Camera, NormalTable};
 use smr_gpu::simulator::conditions::{Conditions, UNIT_CONTRAST};
 use smr_gpu::simulator::contact::{Contact, NO_BODY, Stop, solve};
 use smr_gpu::simulator::dataset::{Progress, Settings, Step, scene_seed, simulate};
-use smr_gpu::simulator::distractors::{Distractor, Part};
+use smr_gpu::simulator::distractors::{Distractor, Drive, Part};
 use smr_gpu::simulator::forced::Forced;
 use smr_gpu::simulator::frame::{FIELD_MM, Frame};
 use smr_gpu::simulator::gel::{Elasticity, Grid, Layer};
@@ -1288,6 +1288,29 @@ fn wide_pictures_are_as_their_labels_say() {
         if rendered.conditions.colour < 0.0 && rendered.conditions.jpeg.is_none() {
             assert!(rendered.picture.pixels().all(|p| p.0[0] == p.0[1] && p.0[1] == p.0[2]));
         }
+    }
+}
+
+#[test]
+fn a_screw_s_drive_can_be_set() {
+    let text = "drive=slot";
+    let forced: Forced = text.parse().expect("a condition");
+    assert_eq!(forced.to_string(), text);
+    let error = "drive=star".parse::<Forced>().expect_err("no such drive").to_string();
+    assert!(error.contains("drive=cross, drive=slot or drive=hex"), "{error}");
+    for seed in 0..12 {
+        let screw = |forced: &Forced| {
+            let mut rng = Pcg64::seed_from_u64(seed);
+            match Distractor::sample_wide(&mut rng, Part::Screw, forced) {
+                Some(Distractor::Screw { radius, drive, recess, .. }) => (radius, drive, recess),
+                other => panic!("{other:?}"),
+            }
+        };
+        let (radius, drive, recess) = screw(&forced);
+        let drawn = screw(&Forced::default());
+        assert!(drive == Drive::Slot && recess < 0.22 * radius, "seed {seed}");
+        // The rest is drawn as ever.
+        assert!(radius == drawn.0 && (drawn.1 != drive || recess == drawn.2), "seed {seed}");
     }
 }
 

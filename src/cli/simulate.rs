@@ -93,6 +93,7 @@ pub(super) struct Args {
     ///   slots       of studs
     ///   hole        of studs, in mm
     ///   bead, fillet  of studs and rings, in mm
+    ///   drive       of screws: cross, slot or hex
     ///   depth       of snaps, in mm, as far as the gel's thickness goes
     #[arg(
         long,

@@ -9,7 +9,8 @@ use super::profile::{rectangle, rounded_edge, smooth_min, stroke};
 use super::snaps::Stud;
 
 /// The recess of a screw's head.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Drive {
     /// A cross.
     Cross,
@@ -258,11 +259,13 @@ impl Distractor {
             Part::Ring => Self::Ring(Stud::unslotted(rng, forced)),
             Part::Screw => {
                 let radius = rng.random_range(1.5..4.5);
-                let (drive, recess) = match rng.random_range(0..3) {
-                    0 => (Drive::Cross, radius * rng.random_range(0.1..0.22)),
-                    1 => (Drive::Slot, radius * rng.random_range(0.1..0.22)),
-                    _ => (Drive::Hex, radius * rng.random_range(0.35..0.6)),
+                let drawn = [Drive::Cross, Drive::Slot, Drive::Hex][rng.random_range(0..3)];
+                let drive = forced.drive.unwrap_or(drawn);
+                let share = match drive {
+                    Drive::Cross | Drive::Slot => 0.1..0.22,
+                    Drive::Hex => 0.35..0.6,
                 };
+                let recess = radius * rng.random_range(share);
                 Self::Screw { radius, drive, recess, dome: rng.random_range(0.0..0.5) }
             }
             Part::Nut => {

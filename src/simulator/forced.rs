@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::conditions::{MILD_GEL_MM, Mechanics, Optics};
+use super::distractors::Drive;
 use super::frame::{FIELD_MM, Frame};
 
 /// A number, or a range from which it is drawn evenly.
@@ -87,6 +88,8 @@ pub struct Forced {
     pub fillet: Option<Span>,
     /// Depth of snaps in millimetres.
     pub depth: Option<Span>,
+    /// The recess of screws' heads.
+    pub drive: Option<Drive>,
 }
 
 /// A condition that cannot be forced as asked.
@@ -236,6 +239,10 @@ impl Forced {
             ("optics", Some("lamps")) => self.optics = Some(Optics::Lamps),
             ("mechanics", Some("elastic")) => self.mechanics = Some(Mechanics::Elastic),
             ("mechanics", Some("smoothed")) => self.mechanics = Some(Mechanics::Smoothed),
+            ("drive", Some("cross")) => self.drive = Some(Drive::Cross),
+            ("drive", Some("slot")) => self.drive = Some(Drive::Slot),
+            ("drive", Some("hex")) => self.drive = Some(Drive::Hex),
+            ("drive", _) => return Err(error("drive=cross, drive=slot or drive=hex".into())),
             ("optics", _) => return Err(error("optics=measured or optics=lamps".into())),
             ("mechanics", _) => {
                 return Err(error("mechanics=elastic or mechanics=smoothed".into()));
@@ -243,7 +250,7 @@ impl Forced {
             _ => {
                 let numbers: Vec<&str> = NUMBERS.iter().map(|(name, ..)| *name).collect();
                 return Err(error(format!(
-                    "one of {}, frame, optics, mechanics, {}",
+                    "one of {}, frame, optics, mechanics, drive, {}",
                     numbers.join(", "),
                     FLAGS.join(", ")
                 )));

@@ -1,0 +1,190 @@
+"""Pictures of snaps by renderers that share nothing with `smr-gpu simulate`, as COCO folders OUT/LOOK and OUT/LOOK-none.
+
+Sharp shapes as CAD has them; gel that follows by Gaussians, as in Taxim (Si and Yuan 2022), not by elasticity; and six
+looks: three coloured lamps with highlights on two fields of view, the same under a soft gel, one white lamp, a map of
+the normals, and a gel that darkens with depth. No network was trained on such pictures, or chosen by them.
+
+`other_renderers.py --out OUT --count 100 --seed 1`, then `smr-gpu eval --exact --data OUT/*/`
+"""
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+
+Plane = np.ndarray
+BESIDE = -9.0  # mm: where a part has no height
+FREE_MM = 12.0  # between the middles of two parts
+MARGIN_MM = 6.0  # between the middle of a part and the edge
+
+# A look's millimetres a pixel, width and height.
+LOOKS = {
+    "lamps": (0.06, 640, 480),
+    "lamps-near": (0.0634, 320, 240),
+    "soft": (0.08, 480, 480),
+    "white": (0.04, 1000, 1000),
+    "normals": (0.1, 400, 400),
+    "depth": (0.06, 640, 480),
+}
+
+
+def rectangle(x: Plane, y: Plane, length: float, width: float) -> Plane:
+    return (abs(x) <= length / 2) & (abs(y) <= width / 2)
+
+
+def hook(rng: np.random.Generator, x: Plane, y: Plane) -> Plane:
+    """Kind A: an arm along x, a barb with a steep face and a lead-in at its end."""
+    length, width, undercut = rng.uniform(6, 10), rng.uniform(3, 5), rng.uniform(0.5, 0.8)
+    slope = np.tan(np.radians(rng.uniform(25, 35)))
+    face = length / 2 - rng.uniform(0.2, 0.8) - undercut / slope
+    barb = np.where(x >= face, np.minimum(undercut, (length / 2 - x) * slope), 0)
+    return np.where(rectangle(x, y, length, width), barb - undercut, BESIDE)
+
+
+def stud(rng: np.random.Generator, x: Plane, y: Plane) -> Plane:
+    """Kind B: a ring with a bevelled bead and two to four slots."""
+    radius, bead, wall = rng.uniform(2.5, 4), rng.uniform(0.3, 0.5), rng.uniform(0.7, 1.2)
+    slots, half_slot, phase = rng.integers(2, 5), rng.uniform(0.3, 0.6), rng.uniform(0, 2 * np.pi)
+    r = np.hypot(x, y)
+    bevel = np.maximum(r - (radius - bead), 0) * np.tan(np.radians(35))
+    height = np.where((r <= radius) & (r >= radius - bead - wall), -bevel, BESIDE)
+    for angle in phase + 2 * np.pi * np.arange(slots) / slots:
+        along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
+        height[(along > 0) & (abs(across) < half_slot)] = BESIDE
+    return height
+
+
+def block(rng: np.random.Generator, x: Plane, y: Plane) -> Plane:
+    return np.where(rectangle(x, y, rng.uniform(6, 10), rng.uniform(3, 5)), 0, BESIDE)
+
+
+def disc(rng: np.random.Generator, x: Plane, y: Plane) -> Plane:
+    return np.where(np.hypot(x, y) < rng.uniform(1.5, 4), 0, BESIDE)
+
+
+def tube(rng: np.random.Generator, x: Plane, y: Plane) -> Plane:
+    radius = rng.uniform(2.5, 4)
+    r = np.hypot(x, y)
+    return np.where((r < radius) & (r > radius - rng.uniform(0.8, 1.5)), 0, BESIDE)
+
+
+def ball(rng: np.random.Generator, x: Plane, y: Plane) -> Plane:
+    radius = rng.uniform(2, 5)
+    inside = radius**2 - x**2 - y**2
+    return np.where(inside > 0, np.sqrt(np.maximum(inside, 0)) - radius, BESIDE)
+
+
+def screw(rng: np.random.Generator, x: Plane, y: Plane) -> Plane:
+    """A disc with one slot across."""
+    slot = abs(y) < rng.uniform(0.3, 0.6)
+    return np.where((np.hypot(x, y) < rng.uniform(2.5, 4)) & ~slot, 0, BESIDE)
+
+
+SNAPS: dict[str, Callable] = {"A": hook, "B": stud}
+OTHERS: list[Callable] = [block, disc, tube, ball, screw]
+
+
+def pressed(depth: Plane, mm: float, skin_mm: float) -> Plane:
+    """The gel's depth where parts reach this deep: it keeps to them, and falls off beside them by Gaussians."""
+    contact, gel = depth > 0, depth
+    for width in (1.2, 0.6, 0.3, 0.12):
+        gel = np.where(contact, depth, gaussian_filter(gel, width / mm))
+    return gaussian_filter(gel, skin_mm / mm)
+
+
+def lit(look: str, gel: Plane, mm: float, rng: np.random.Generator) -> Plane:
+    """The picture `[height][width][3]`, in levels."""
+    gy, gx = np.gradient(gel, mm)
+    nz = 1 / np.sqrt(1 + gx**2 + gy**2)
+    normal = np.stack([gx * nz, gy * nz, nz], -1)
+    flat = rng.uniform(60, 150, 3)
+    azimuth = rng.uniform(0, 2 * np.pi)
+
+    def facing(angle: float, degrees: float) -> tuple[Plane, float]:
+        elevation = np.radians(degrees)
+        ray = np.array([np.cos(angle) * np.cos(elevation), np.sin(angle) * np.cos(elevation), np.sin(elevation)])
+        return normal @ ray, ray[2]
+
+    if look == "normals":
+        return 128 + np.stack([90 * normal[..., 0], 90 * normal[..., 1], 40 * (1 - nz)], -1)[..., rng.permutation(3)]
+    if look == "depth":
+        share = 1 - 0.35 * np.clip(gel / 1.5, 0, 1) - 0.5 * (1 - nz)
+        return 1.3 * flat * share[..., None]
+    if look == "white":
+        towards, up = facing(azimuth, 30)
+        return np.repeat((flat[0] * (0.5 + 0.5 * np.maximum(towards, 0) / up))[..., None], 3, -1)
+    picture = np.zeros((*gel.shape, 3))
+    for channel in range(3):
+        towards, up = facing(azimuth + channel * 2 * np.pi / 3, rng.uniform(20, 45))
+        diffuse = np.maximum(towards, 0) / up
+        highlight = 0.3 * (np.maximum(2 * towards * nz - up, 0) ** 8 - up**8)
+        picture[..., channel] += flat[channel] * (0.4 + 0.6 * diffuse + highlight)
+        picture[..., (channel + 1) % 3] += 0.15 * flat[channel] * (diffuse - 1)
+    return picture
+
+
+def draw(look: str, snaps: bool, rng: np.random.Generator) -> tuple[Plane, list[dict]]:
+    """A picture with its labels."""
+    mm, width, height = LOOKS[look]
+    half = np.array([width, height]) * mm / 2
+    x, y = np.meshgrid((np.arange(width) + 0.5) * mm - half[0], (np.arange(height) + 0.5) * mm - half[1])
+    middles, labels, depth = [], [], np.zeros((height, width))
+    for _ in range(rng.integers(1, 4)):
+        middle = rng.uniform(-1, 1, 2) * np.maximum(half - MARGIN_MM, 0)
+        if any(np.hypot(*(middle - other)) < FREE_MM for other in middles):
+            continue
+        middles.append(middle)
+        kind = rng.choice(list(SNAPS)) if snaps and rng.random() < 0.6 else None
+        part = SNAPS[kind] if kind else OTHERS[rng.integers(len(OTHERS))]
+        yaw = rng.uniform(-np.pi, np.pi)
+        (dx, dy), (sin, cos) = (x - middle[0], y - middle[1]), (np.sin(yaw), np.cos(yaw))
+        tilt = np.tan(np.radians(rng.uniform(-2, 2, 2)))
+        relief = part(rng, dx * cos + dy * sin, dy * cos - dx * sin)
+        reach = np.where(relief > BESIDE, relief + rng.uniform(0.5, 1.4) + dx * tilt[0] + dy * tilt[1], 0)
+        depth = np.maximum(depth, reach)
+        rows, columns = np.nonzero(reach > 0.03)
+        if kind and len(rows):
+            left, top = int(columns.min()), int(rows.min())
+            box = [left, top, int(columns.max()) + 1 - left, int(rows.max()) + 1 - top]
+            labels.append({"category_id": list(SNAPS).index(kind) + 1, "bbox": box, "area": box[2] * box[3], "iscrowd": 0, "yaw_deg": float(np.degrees(yaw)) if kind == "A" else None})
+    picture = lit(look, pressed(depth, mm, 0.2 if look == "soft" else 0.08), mm, rng)
+    if look != "normals":
+        slope = rng.uniform(-0.25, 0.25, 2)
+        picture *= (1 + slope[0] * x / half[0] + slope[1] * y / half[1])[..., None]
+    picture = gaussian_filter(picture, (0.6, 0.6, 0)) + rng.normal(0, 1.5, picture.shape)
+    return np.clip(picture, 0, 255).astype(np.uint8), labels
+
+
+def write(folder: Path, look: str, snaps: bool, count: int, rng: np.random.Generator) -> None:
+    mm, width, height = LOOKS[look]
+    (folder / "images").mkdir(parents=True)
+    images, annotations = [], []
+    for i in range(count):
+        picture, labels = draw(look, snaps, rng)
+        name = f"{i:06}.png"
+        Image.fromarray(picture).save(folder / "images" / name)
+        images.append({"id": i, "file_name": name, "width": width, "height": height, "mm_per_pixel": mm})
+        annotations += [{"id": len(annotations) + k, "image_id": i, **label} for k, label in enumerate(labels)]
+    categories = [{"id": i + 1, "name": kind} for i, kind in enumerate(SNAPS)]
+    (folder / "annotations.json").write_text(json.dumps({"categories": categories, "images": images, "annotations": annotations}))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True, help="a folder that is not there yet")
+    parser.add_argument("--count", type=int, default=100, help="pictures of each look, and half as many of it without a snap")
+    parser.add_argument("--seed", type=int, default=1)
+    args = parser.parse_args()
+    args.out.mkdir(parents=True)
+    for number, look in enumerate(LOOKS):
+        for snaps in (True, False):
+            rng = np.random.default_rng([args.seed, number, snaps])
+            write(args.out / (look if snaps else f"{look}-none"), look, snaps, args.count if snaps else args.count // 2, rng)
+
+
+if __name__ == "__main__":
+    main()

@@ -20,6 +20,16 @@ pub enum Drive {
     Hex,
 }
 
+impl Drive {
+    fn sample(rng: &mut Pcg64) -> Self {
+        match rng.random_range(0..3) {
+            0 => Self::Cross,
+            1 => Self::Slot,
+            _ => Self::Hex,
+        }
+    }
+}
+
 /// A line from point to point, in millimetres.
 pub type Line = [[f64; 2]; 2];
 
@@ -191,11 +201,7 @@ impl Distractor {
             },
             3..6 => {
                 let radius = rng.random_range(2.0..4.0);
-                let drive = match rng.random_range(0..3) {
-                    0 => Drive::Cross,
-                    1 => Drive::Slot,
-                    _ => Drive::Hex,
-                };
+                let drive = Drive::sample(rng);
                 let recess = match drive {
                     Drive::Hex => radius * rng.random_range(0.35..0.55),
                     Drive::Cross | Drive::Slot => rng.random_range(0.3..0.6),
@@ -259,7 +265,7 @@ impl Distractor {
             Part::Ring => Self::Ring(Stud::unslotted(rng, forced)),
             Part::Screw => {
                 let radius = rng.random_range(1.5..4.5);
-                let drawn = [Drive::Cross, Drive::Slot, Drive::Hex][rng.random_range(0..3)];
+                let drawn = Drive::sample(rng);
                 let drive = forced.drive.unwrap_or(drawn);
                 let share = match drive {
                     Drive::Cross | Drive::Slot => 0.1..0.22,

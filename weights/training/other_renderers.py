@@ -150,7 +150,8 @@ def draw(look: str, snaps: bool, rng: np.random.Generator) -> tuple[Plane, list[
         if kind and len(rows):
             left, top = int(columns.min()), int(rows.min())
             box = [left, top, int(columns.max()) + 1 - left, int(rows.max()) + 1 - top]
-            labels.append({"category_id": list(SNAPS).index(kind) + 1, "bbox": box, "area": box[2] * box[3], "iscrowd": 0, "yaw_deg": float(np.degrees(yaw)) if kind == "A" else None})
+            yaw_deg = float(np.degrees(yaw)) if kind == "A" else None
+            labels.append({"category_id": list(SNAPS).index(kind) + 1, "bbox": box, "area": box[2] * box[3], "iscrowd": 0, "yaw_deg": yaw_deg})
     picture = lit(look, pressed(depth, mm, 0.2 if look == "soft" else 0.08), mm, rng)
     if look != "normals":
         slope = rng.uniform(-0.25, 0.25, 2)

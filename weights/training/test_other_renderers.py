@@ -6,7 +6,7 @@ from other_renderers import LOOKS, SNAPS, draw
 
 
 def test_boxes_hold_what_changes() -> None:
-    """In a map of the normals flat gel is grey: what is not lies in a box, or is no snap, and a box is not empty."""
+    """In a map of the normals flat gel is grey, and in a box is what is not; boxes lie in the picture; hooks have a yaw."""
     width, height = LOOKS["normals"][1:]
     seen = set()
     for seed in range(30):

@@ -82,8 +82,8 @@ const QUADRATIC: usize = 10;
 fn model_size(text: &str) -> Option<[f64; 2]> {
     let (_, rest) = text.split_once("modelsize: (")?;
     let (width, height) = rest.split_once(')')?.0.split_once(',')?;
-    let size = [width, height].map(|side| side.trim().parse().unwrap_or(0.0));
-    size.iter().all(|side: &f64| side.is_finite() && *side > 0.0).then_some(size)
+    let size: [f64; 2] = [width.trim().parse().ok()?, height.trim().parse().ok()?];
+    size.iter().all(|side| side.is_finite() && *side > 0.0).then_some(size)
 }
 
 /// The numbers under `quadfit`, or what stands in their place.

@@ -1,8 +1,10 @@
-"""Pictures of snaps by renderers that share nothing with `smr-gpu simulate`, as COCO folders OUT/LOOK and OUT/LOOK-none.
+"""Pictures of snaps by renderers that share nothing with `smr-gpu simulate`, as COCO folders OUT/LOOK-SCENE.
 
 Sharp shapes as CAD has them; gel that follows by Gaussians, as in Taxim (Si and Yuan 2022), not by elasticity; and six
 looks: three coloured lamps with highlights on two fields of view, the same under a soft gel, one white lamp, a map of
-the normals, and a gel that darkens with depth. No network was trained on such pictures, or chosen by them.
+the normals, and a gel that darkens with depth. The scenes are `snaps` and other things, other things alone (`none`),
+snaps on a gel with printed dots (`markers`), and hooks with the wall they grow from (`wall`), which is in no box. No
+network was trained on such pictures, or chosen by them.
 
 `other_renderers.py --out OUT --count 100 --seed 1`, then `smr-gpu eval --exact --data OUT/*/`
 """
@@ -20,6 +22,9 @@ Plane = np.ndarray
 BESIDE = -9.0  # mm: where a part has no height
 FREE_MM = 12.0  # between the middles of two parts
 MARGIN_MM = 6.0  # between the middle of a part and the edge
+
+# In the order of the seeds: a scene's number is part of them.
+SCENES = ("none", "snaps", "markers", "wall")
 
 # A look's millimetres a pixel, width and height.
 LOOKS = {
@@ -56,6 +61,12 @@ def stud(rng: np.random.Generator, x: Plane, y: Plane) -> Plane:
         along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
         height[(along > 0) & (abs(across) < half_slot)] = BESIDE
     return height
+
+
+def wall(rng: np.random.Generator, x: Plane, y: Plane, root: float) -> Plane:
+    """A plate across a hook's root, as high as its barb or up to 0.7 mm lower."""
+    plate = (x < root) & (x > root - rng.uniform(1.2, 2.5)) & (abs(y) < rng.uniform(3.5, 7))
+    return np.where(plate, rng.uniform(-0.7, 0), BESIDE)
 
 
 def block(rng: np.random.Generator, x: Plane, y: Plane) -> Plane:
@@ -127,7 +138,17 @@ def lit(look: str, gel: Plane, mm: float, rng: np.random.Generator) -> Plane:
     return picture
 
 
-def draw(look: str, snaps: bool, rng: np.random.Generator) -> tuple[Plane, list[dict]]:
+def printed(picture: Plane, gel: Plane, mm: float, rng: np.random.Generator) -> Plane:
+    """Dark dots on a grid, moved down the gel's slopes."""
+    pitch, diameter, turn = rng.uniform(1.8, 3), rng.uniform(0.4, 0.8), rng.uniform(-0.1, 0.1)
+    gy, gx = np.gradient(gaussian_filter(gel, 1 / mm), mm)
+    y, x = np.indices(gel.shape) * mm - 0.4 * np.stack([gy, gx])
+    along, across = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+    from_dot = np.hypot(along / pitch % 1 - 0.5, across / pitch % 1 - 0.5) * pitch
+    return picture * (1 - 0.85 * gaussian_filter((from_dot < diameter / 2) * 1.0, 0.7))[..., None]
+
+
+def draw(look: str, scene: str, rng: np.random.Generator) -> tuple[Plane, list[dict]]:
     """A picture with its labels."""
     mm, width, height = LOOKS[look]
     half = np.array([width, height]) * mm / 2
@@ -138,21 +159,29 @@ def draw(look: str, snaps: bool, rng: np.random.Generator) -> tuple[Plane, list[
         if any(np.hypot(*(middle - other)) < FREE_MM for other in middles):
             continue
         middles.append(middle)
-        kind = rng.choice(list(SNAPS)) if snaps and rng.random() < 0.6 else None
+        kind = rng.choice(list(SNAPS)) if scene != "none" and rng.random() < 0.6 else None
         part = SNAPS[kind] if kind else OTHERS[rng.integers(len(OTHERS))]
         yaw = rng.uniform(-np.pi, np.pi)
         (dx, dy), (sin, cos) = (x - middle[0], y - middle[1]), (np.sin(yaw), np.cos(yaw))
         tilt = np.tan(np.radians(rng.uniform(-2, 2, 2)))
-        relief = part(rng, dx * cos + dy * sin, dy * cos - dx * sin)
-        reach = np.where(relief > BESIDE, relief + rng.uniform(0.5, 1.4) + dx * tilt[0] + dy * tilt[1], 0)
+        along, across = dx * cos + dy * sin, dy * cos - dx * sin
+        relief = part(rng, along, across)
+        press = rng.uniform(0.5, 1.4) + dx * tilt[0] + dy * tilt[1]
+        reach = np.where(relief > BESIDE, relief + press, 0)
         depth = np.maximum(depth, reach)
+        if kind == "A" and scene == "wall":
+            plate = wall(rng, along, across, along[relief > BESIDE].min())
+            depth = np.maximum(depth, np.where(plate > BESIDE, plate + press, 0))
         rows, columns = np.nonzero(reach > 0.03)
         if kind and len(rows):
             left, top = int(columns.min()), int(rows.min())
             box = [left, top, int(columns.max()) + 1 - left, int(rows.max()) + 1 - top]
             yaw_deg = float(np.degrees(yaw)) if kind == "A" else None
             labels.append({"category_id": list(SNAPS).index(kind) + 1, "bbox": box, "area": box[2] * box[3], "iscrowd": 0, "yaw_deg": yaw_deg})
-    picture = lit(look, pressed(depth, mm, 0.2 if look == "soft" else 0.08), mm, rng)
+    gel = pressed(depth, mm, 0.2 if look == "soft" else 0.08)
+    picture = lit(look, gel, mm, rng)
+    if scene == "markers":
+        picture = printed(picture, gel, mm, rng)
     if look != "normals":
         slope = rng.uniform(-0.25, 0.25, 2)
         picture *= (1 + slope[0] * x / half[0] + slope[1] * y / half[1])[..., None]
@@ -160,12 +189,12 @@ def draw(look: str, snaps: bool, rng: np.random.Generator) -> tuple[Plane, list[
     return np.clip(picture, 0, 255).astype(np.uint8), labels
 
 
-def write(folder: Path, look: str, snaps: bool, count: int, rng: np.random.Generator) -> None:
+def write(folder: Path, look: str, scene: str, count: int, rng: np.random.Generator) -> None:
     mm, width, height = LOOKS[look]
     (folder / "images").mkdir(parents=True)
     images, annotations = [], []
     for i in range(count):
-        picture, labels = draw(look, snaps, rng)
+        picture, labels = draw(look, scene, rng)
         name = f"{i:06}.png"
         Image.fromarray(picture).save(folder / "images" / name)
         images.append({"id": i, "file_name": name, "width": width, "height": height, "mm_per_pixel": mm})
@@ -177,14 +206,14 @@ def write(folder: Path, look: str, snaps: bool, count: int, rng: np.random.Gener
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="a folder that is not there yet")
-    parser.add_argument("--count", type=int, default=100, help="pictures of each look, and half as many of it without a snap")
+    parser.add_argument("--count", type=int, default=100, help="pictures of each look and scene; of other things alone half as many")
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
     args.out.mkdir(parents=True)
     for number, look in enumerate(LOOKS):
-        for snaps in (True, False):
-            rng = np.random.default_rng([args.seed, number, snaps])
-            write(args.out / (look if snaps else f"{look}-none"), look, snaps, args.count if snaps else args.count // 2, rng)
+        for scene_number, scene in enumerate(SCENES):
+            rng = np.random.default_rng([args.seed, number, scene_number])
+            write(args.out / f"{look}-{scene}", look, scene, args.count // 2 if scene == "none" else args.count, rng)
 
 
 if __name__ == "__main__":

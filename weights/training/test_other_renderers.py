@@ -10,7 +10,7 @@ def test_boxes_hold_what_changes() -> None:
     width, height = LOOKS["normals"][1:]
     seen = set()
     for seed in range(30):
-        picture, labels = draw("normals", True, np.random.default_rng(seed))
+        picture, labels = draw("normals", "snaps", np.random.default_rng(seed))
         assert picture.shape == (height, width, 3)
         changed = abs(picture.astype(int) - 128).max(-1) > 20
         for label in labels:
@@ -28,7 +28,7 @@ def test_a_hook_points_to_its_barb() -> None:
     """A hook's relief is steepest at its barb, which lies from the box's middle towards its yaw."""
     right = total = 0
     for seed in range(60):
-        picture, labels = draw("normals", True, np.random.default_rng(seed))
+        picture, labels = draw("normals", "snaps", np.random.default_rng(seed))
         change = (abs(picture.astype(int) - 128).max(-1) - 20).clip(0)
         for label in labels:
             if label["yaw_deg"] is None:
@@ -46,11 +46,41 @@ def test_a_hook_points_to_its_barb() -> None:
 
 def test_look_alikes_have_no_label() -> None:
     for look in LOOKS:
-        assert draw(look, False, np.random.default_rng(3))[1] == []
+        assert draw(look, "none", np.random.default_rng(3))[1] == []
+
+
+def test_a_wall_is_in_no_box() -> None:
+    """A hook is where it is without its wall, and points away from it: behind hooks more changes than without."""
+    behind_hooks = np.zeros(2)
+    hooks = 0
+    for seed in range(40):
+        with_wall, without = (draw("normals", scene, np.random.default_rng(seed)) for scene in ("wall", "snaps"))
+        if not without[1] or without[1][0]["yaw_deg"] is None:
+            continue
+        # The first part's shape is drawn before its wall; what follows differs.
+        assert with_wall[1][0] == without[1][0]
+        hooks += 1
+        (left, top, width, height), yaw = without[1][0]["bbox"], np.radians(without[1][0]["yaw_deg"])
+        y, x = np.indices(with_wall[0].shape[:2]) + 0.5
+        x, y = x - left - width / 2, y - top - height / 2
+        behind = (x * np.cos(yaw) + y * np.sin(yaw) < 0) & (np.hypot(x, y) * LOOKS["normals"][0] < 7)
+        behind_hooks += [(abs(picture.astype(int) - 128).max(-1) > 20)[behind].sum() for picture, _ in (with_wall, without)]
+    # A low wall may not touch, and one that does hides the slope of the root.
+    assert hooks > 5 and behind_hooks[0] > 1.3 * behind_hooks[1], (hooks, behind_hooks)
+
+
+def test_dots_lie_on_the_gel() -> None:
+    """What dots darken is a tenth of a map of the normals, more or less, and evenly spread."""
+    for seed in range(10):
+        marked, plain = (draw("normals", scene, np.random.default_rng(seed))[0].astype(int) for scene in ("markers", "snaps"))
+        dark = plain.sum(-1) - marked.sum(-1) > 90
+        assert 0.01 < dark.mean() < 0.16, seed
+        quarters = [dark[:200, :200], dark[:200, 200:], dark[200:, :200], dark[200:, 200:]]
+        assert min(q.mean() for q in quarters) > 0.6 * max(q.mean() for q in quarters), seed
 
 
 def test_a_seed_is_a_picture() -> None:
-    first, second, other = (draw("lamps-near", True, np.random.default_rng(seed))[0] for seed in (1, 1, 2))
+    first, second, other = (draw("lamps-near", "snaps", np.random.default_rng(seed))[0] for seed in (1, 1, 2))
     assert (first == second).all() and (first != other).any()
 
 
@@ -58,5 +88,7 @@ if __name__ == "__main__":
     test_boxes_hold_what_changes()
     test_a_hook_points_to_its_barb()
     test_look_alikes_have_no_label()
+    test_a_wall_is_in_no_box()
+    test_dots_lie_on_the_gel()
     test_a_seed_is_a_picture()
     print("ok")

@@ -19,7 +19,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 Plane = np.ndarray
-BESIDE = -9.0  # mm: where a part has no height
+BESIDE = -9.0  # mm: where a part has no height, deeper than any is pressed
 FREE_MM = 12.0  # between the middles of two parts
 MARGIN_MM = 6.0  # between the middle of a part and the edge
 
@@ -35,6 +35,12 @@ LOOKS = {
     "normals": (0.1, 400, 400),
     "depth": (0.06, 640, 480),
 }
+
+
+def turned(x: Plane, y: Plane, angle: float) -> tuple[Plane, Plane]:
+    """Positions along a direction and across it."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return x * cos + y * sin, y * cos - x * sin
 
 
 def rectangle(x: Plane, y: Plane, length: float, width: float) -> Plane:
@@ -58,7 +64,7 @@ def stud(rng: np.random.Generator, x: Plane, y: Plane) -> Plane:
     bevel = np.maximum(r - (radius - bead), 0) * np.tan(np.radians(35))
     height = np.where((r <= radius) & (r >= radius - bead - wall), -bevel, BESIDE)
     for angle in phase + 2 * np.pi * np.arange(slots) / slots:
-        along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
+        along, across = turned(x, y, angle)
         height[(along > 0) & (abs(across) < half_slot)] = BESIDE
     return height
 
@@ -143,7 +149,7 @@ def printed(picture: Plane, gel: Plane, mm: float, rng: np.random.Generator) -> 
     pitch, diameter, turn = rng.uniform(1.8, 3), rng.uniform(0.4, 0.8), rng.uniform(-0.1, 0.1)
     gy, gx = np.gradient(gaussian_filter(gel, 1 / mm), mm)
     y, x = np.indices(gel.shape) * mm - 0.4 * np.stack([gy, gx])
-    along, across = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+    along, across = turned(x, y, turn)
     from_dot = np.hypot(along / pitch % 1 - 0.5, across / pitch % 1 - 0.5) * pitch
     return picture * (1 - 0.85 * gaussian_filter((from_dot < diameter / 2) * 1.0, 0.7))[..., None]
 
@@ -162,16 +168,15 @@ def draw(look: str, scene: str, rng: np.random.Generator) -> tuple[Plane, list[d
         kind = rng.choice(list(SNAPS)) if scene != "none" and rng.random() < 0.6 else None
         part = SNAPS[kind] if kind else OTHERS[rng.integers(len(OTHERS))]
         yaw = rng.uniform(-np.pi, np.pi)
-        (dx, dy), (sin, cos) = (x - middle[0], y - middle[1]), (np.sin(yaw), np.cos(yaw))
+        dx, dy = x - middle[0], y - middle[1]
         tilt = np.tan(np.radians(rng.uniform(-2, 2, 2)))
-        along, across = dx * cos + dy * sin, dy * cos - dx * sin
+        along, across = turned(dx, dy, yaw)
         relief = part(rng, along, across)
         press = rng.uniform(0.5, 1.4) + dx * tilt[0] + dy * tilt[1]
-        reach = np.where(relief > BESIDE, relief + press, 0)
+        reach = relief + press
         depth = np.maximum(depth, reach)
         if kind == "A" and scene == "wall":
-            plate = wall(rng, along, across, along[relief > BESIDE].min())
-            depth = np.maximum(depth, np.where(plate > BESIDE, plate + press, 0))
+            depth = np.maximum(depth, wall(rng, along, across, along[relief > BESIDE].min()) + press)
         rows, columns = np.nonzero(reach > 0.03)
         if kind and len(rows):
             left, top = int(columns.min()), int(rows.min())

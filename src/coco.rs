@@ -11,8 +11,11 @@ use std::path::{Component, Path, PathBuf};
 use serde::Deserialize;
 use serde_json::Value;
 
+use crate::frame::Frame;
 use crate::metrics::Truth;
 use crate::model::MAX_PIXELS;
+use crate::rect::Rect;
+use crate::scale::{Gel, Scale};
 
 /// How far a box may reach past its picture, in pixels: tools round.
 const MARGIN: f64 = 1.0;
@@ -88,6 +91,8 @@ pub struct Picture {
     pub size: Option<(u32, u32)>,
     /// Millimetres on the gel for a pixel, where they are stated.
     pub mm_per_pixel: Option<f32>,
+    /// The part that shows the gel, where it is stated.
+    pub gel: Option<Rect>,
     /// Under which conditions it was taken, by the names that `smr-gpu simulate` writes.
     pub conditions: Attributes,
     /// What it shows.
@@ -122,6 +127,8 @@ struct CocoImage {
     width: Option<u32>,
     height: Option<u32>,
     mm_per_pixel: Option<f32>,
+    /// What other tools call so may be anything.
+    gel: Option<Value>,
     /// What other tools call so may be anything.
     conditions: Option<Value>,
 }
@@ -236,7 +243,7 @@ fn categories(categories: Vec<CocoCategory>) -> Result<(HashMap<u64, usize>, Vec
 fn pictures(images: Vec<CocoImage>) -> Result<Vec<Picture>, Error> {
     let mut pictures = Vec::with_capacity(images.len());
     let mut owner_of: HashMap<PathBuf, u64> = HashMap::new();
-    for CocoImage { id, file_name, width, height, mm_per_pixel, conditions } in images {
+    for CocoImage { id, file_name, width, height, mm_per_pixel, gel, conditions } in images {
         let name = format!("image {id}");
         let file = below(&file_name).ok_or_else(|| {
             Error::new(&name, "a file_name inside the folder", format!("`{file_name}`"))
@@ -252,12 +259,21 @@ fn pictures(images: Vec<CocoImage>) -> Result<Vec<Picture>, Error> {
             let expected = format!("1 to {MAX_PIXELS} pixels");
             return Err(Error::new(name, expected, format!("{w} × {h}")));
         }
+        let gel = gel.map(|value| {
+            let rect = serde_json::from_value::<Rect>(value.clone()).ok();
+            let (w, h) = size.unwrap_or((u32::MAX, u32::MAX));
+            rect.filter(|rect| rect.is_in(w, h)).ok_or_else(|| {
+                let expected = "a gel of x, y, width and height in pixels inside the picture";
+                Error::new(&name, expected, value)
+            })
+        });
+        let gel = gel.transpose()?;
         let conditions = conditions.as_ref().and_then(Value::as_object).into_iter().flatten();
         let conditions = conditions
             .filter_map(|(name, value)| Some((name.clone(), Attribute::of(value)?)))
             .collect();
         let labels = Vec::new();
-        pictures.push(Picture { id, file, size, mm_per_pixel, conditions, labels });
+        pictures.push(Picture { id, file, size, mm_per_pixel, gel, conditions, labels });
     }
     pictures.sort_by_key(|p| p.id);
     match pictures.windows(2).find(|pair| pair[0].id == pair[1].id) {
@@ -311,6 +327,13 @@ fn flag(number: u64) -> Option<bool> {
 }
 
 impl Picture {
+    /// The frame with the scale and the gel that its label states.
+    pub fn state<'a>(&self, mut frame: Frame<'a>) -> Frame<'a> {
+        frame.scale = self.mm_per_pixel.map(Scale::label);
+        frame.gel = self.gel.map(Gel::Part);
+        frame
+    }
+
     /// Checks the picture's true size: against the stated one, and whether all boxes lie inside.
     ///
     /// # Errors

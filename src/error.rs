@@ -101,6 +101,16 @@ pub enum Error {
         /// What is wrong.
         message: String,
     },
+    /// A frame cannot have the scale or the gel that is said of it, or nobody says its scale.
+    #[error("{width} × {height} pixels: {message}")]
+    Scale {
+        /// Width of the frame.
+        width: u32,
+        /// Height of the frame.
+        height: u32,
+        /// What is wrong.
+        message: String,
+    },
     /// A file of another kind cannot be used.
     #[error("{file}: {message}")]
     File {

@@ -1,69 +1,19 @@
 //! Pictures in memory, as a camera or another program gives them.
 //!
 //! A [`Frame`] is bytes with a width, a height, the distance between rows and a [`PixelFormat`]. Which
-//! part of it the network sees, the [`crate::Sensor`] says, or [`Frame::crop`]; nothing else is
-//! converted.
+//! part of it shows the gel and at which scale, the [`crate::Sensor`] says, or the frame itself
+//! ([`crate::scale`]); nothing else is converted.
 
 use std::borrow::Cow;
 use std::fmt;
-
-use serde::{Deserialize, Serialize};
 
 use crate::cpu::Crop;
 use crate::error::{Error, Result};
 use crate::model::MAX_PIXELS;
 use crate::pixel_format::PixelFormat;
+use crate::rect::Rect;
+use crate::scale::{Gel, Scale};
 use crate::tensor::Tensor;
-
-/// A part of a picture, in pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Rect {
-    /// Column of the left edge.
-    pub x: u32,
-    /// Row of the upper edge.
-    pub y: u32,
-    /// Columns.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-}
-
-impl Rect {
-    /// Whether it holds a pixel, and lies in a picture of this width and height.
-    pub(crate) fn is_in(&self, width: u32, height: u32) -> bool {
-        let fits = |at: u32, length: u32, all: u32| length > 0 && at < all && length <= all - at;
-        fits(self.x, self.width, width) && fits(self.y, self.height, height)
-    }
-
-    /// Its middle, in pixels.
-    pub(crate) fn middle(&self) -> [f32; 2] {
-        [(self.x, self.width), (self.y, self.height)]
-            .map(|(at, length)| at as f32 + length as f32 / 2.0)
-    }
-
-    /// The largest part in its middle whose longer side is at most `aspect` times the shorter, in whole
-    /// pixels; up and left by half a pixel where the middle is between two.
-    pub(crate) fn central(&self, aspect: f32) -> Self {
-        let most = (self.width.min(self.height) as f32 * aspect) as u32;
-        let (width, height) = (self.width.min(most), self.height.min(most));
-        let (x, y) = (self.x + (self.width - width) / 2, self.y + (self.height - height) / 2);
-        Self { x, y, width, height }
-    }
-
-    /// The same part of a picture that was scaled to `frame`, in whole pixels.
-    pub(crate) fn scaled(&self, [x, y]: [f64; 2], [width, height]: [u32; 2]) -> Self {
-        let edge =
-            |at: u32, scale: f64, all: u32| ((f64::from(at) * scale).round() as u32).min(all);
-        let side = |at: u32, length: u32, scale: f64, all: u32| {
-            let first = edge(at, scale, all - 1);
-            (first, edge(at + length, scale, all).saturating_sub(first).max(1))
-        };
-        let (left, columns) = side(self.x, self.width, x, width);
-        let (top, rows) = side(self.y, self.height, y, height);
-        Self { x: left, y: top, width: columns, height: rows }
-    }
-}
 
 /// A picture in memory.
 ///
@@ -77,7 +27,7 @@ impl Rect {
 ///     .crop(Rect { x: 8, y: 0, width: 48, height: 48 });
 /// assert_eq!((frame.width, frame.stride), (64, 256));
 /// ```
-#[derive(Clone)]
+#[derive(Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Frame<'a> {
     /// The pixels' bytes, row by row from the top; the last row may end with its last pixel.
@@ -90,12 +40,14 @@ pub struct Frame<'a> {
     pub stride: usize,
     /// What the bytes mean.
     pub format: PixelFormat,
-    /// The part that shows the gel; `None` for what the sensor says. Positions in millimetres are from
-    /// its middle, boxes in pixels of the whole frame.
+    /// The part that the network sees, as far as it is gel; `None` for all of the gel. Scale, boxes and
+    /// positions are the whole frame's.
     pub crop: Option<Rect>,
-    /// Millimetres on the gel for a pixel, if this frame has a scale of its own: then it, or its crop,
-    /// is gel all over, and nothing else of the sensor counts.
-    pub mm_per_pixel: Option<f32>,
+    /// The part that shows the gel; `None` for what [`Config::gel`](crate::Config::gel) or the sensor says. Positions in
+    /// millimetres are from its middle, boxes in pixels of the whole frame.
+    pub gel: Option<Gel>,
+    /// How many millimetres a pixel shows; `None` for what [`Config::mm_per_pixel`](crate::Config::mm_per_pixel) or the sensor says.
+    pub scale: Option<Scale>,
 }
 
 impl<'a> Frame<'a> {
@@ -107,8 +59,8 @@ impl<'a> Frame<'a> {
         format: PixelFormat,
     ) -> Self {
         let stride = (width as usize).saturating_mul(format.bytes_per_pixel());
-        let (crop, mm_per_pixel) = (None, None);
-        Self { data: data.into(), width, height, stride, format, crop, mm_per_pixel }
+        let data = data.into();
+        Self { data, width, height, stride, format, crop: None, gel: None, scale: None }
     }
 
     /// The same with rows that begin `bytes` apart.
@@ -117,15 +69,21 @@ impl<'a> Frame<'a> {
         self
     }
 
-    /// The same of which `part` shows the gel.
+    /// The same of which the network sees `part` alone.
     pub fn crop(mut self, part: Rect) -> Self {
         self.crop = Some(part);
         self
     }
 
+    /// The same of which this part shows the gel.
+    pub fn gel(mut self, part: Gel) -> Self {
+        self.gel = Some(part);
+        self
+    }
+
     /// The same with a scale of its own.
-    pub fn mm_per_pixel(mut self, millimetres: f32) -> Self {
-        self.mm_per_pixel = Some(millimetres);
+    pub fn scale(mut self, scale: Scale) -> Self {
+        self.scale = Some(scale);
         self
     }
 
@@ -142,8 +100,7 @@ impl<'a> Frame<'a> {
         }
         if let Some(part) = self.crop.filter(|part| !part.is_in(width, height)) {
             let expected = format!("a part of {width} × {height} pixels");
-            let got = format!("{} × {} at ({}, {})", part.width, part.height, part.x, part.y);
-            return Err(Error::param("frame", "crop", expected, got));
+            return Err(Error::param("frame", "crop", expected, part));
         }
         let row = u64::from(width) * self.format.bytes_per_pixel() as u64;
         if (self.stride as u64) < row {
@@ -196,13 +153,18 @@ impl<'a> Frame<'a> {
 
 impl fmt::Debug for Frame<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { data, width, height, stride, format, crop, mm_per_pixel } = self;
+        let Self { data, width, height, stride, format, crop, gel, scale } = self;
         write!(f, "Frame({width} × {height} {format:?}, {} bytes, stride {stride}", data.len())?;
-        if let Some(Rect { x, y, width, height }) = crop {
-            write!(f, ", crop {width} × {height} at ({x}, {y})")?;
+        if let Some(part) = crop {
+            write!(f, ", crop {part}")?;
         }
-        if let Some(scale) = mm_per_pixel {
-            write!(f, ", {scale} mm a pixel")?;
+        match gel {
+            None => {}
+            Some(Gel::All) => f.write_str(", all gel")?,
+            Some(Gel::Part(part)) => write!(f, ", gel {part}")?,
+        }
+        if let Some(scale) = scale {
+            write!(f, ", {} mm a pixel", scale.mm_per_pixel)?;
         }
         f.write_str(")")
     }

@@ -51,10 +51,11 @@
 //! | [`check`] | each kernel on a device against its reference, case by case |
 //! | [`model`] | SMR-Net's stages, its configuration and its weights |
 //! | [`comparison`] | the whole network on a device, by operation and by outcome, against the reference |
+//! | [`scale`] | how many millimetres a pixel shows, which part of a frame is gel, and how each is known |
 //! | [`frame`] | pictures in memory, as cameras give them; what their bytes mean says [`PixelFormat`] |
+//! | [`picture`] | pictures from untrusted files |
 //! | [`sensor`] | what a sensor's pictures show: how much gel, and where |
 //! | [`detector`] | [`GpuDetector`] |
-//! | [`picture`] | pictures from files that nobody vouches for |
 //! | [`simulator`] | the simulated sensor: gel, contact, optics, camera, snaps |
 //! | [`metrics`] | intersection over union, average precision, centre error |
 //! | [`coco`] | labelled pictures from COCO annotations |
@@ -101,6 +102,8 @@ pub mod picture;
 mod pixel_format;
 pub mod precision;
 pub mod profile;
+mod rect;
+pub mod scale;
 pub mod sensor;
 pub mod shader;
 pub mod shape;
@@ -115,12 +118,14 @@ pub use detector::{
     Comparison, Config, Detection, Detections, Device, GpuDetector, Scene, Stream, WeightSource,
 };
 pub use error::{Error, Result};
-pub use frame::{Frame, Rect};
+pub use frame::Frame;
 /// The crate whose pictures [`GpuDetector::detect`] takes.
 #[cfg(feature = "image")]
 pub use image;
 pub use pixel_format::PixelFormat;
 pub use precision::Precision;
+pub use rect::Rect;
+pub use scale::{Gel, Origin, Scale};
 pub use sensor::Sensor;
 
 /// The README's example runs as a test.

@@ -19,19 +19,21 @@
 //! ```
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::files;
-use crate::frame::Rect;
-use crate::model::PAPER_MM;
+use crate::frame::Frame;
+#[cfg(feature = "picture")]
+use crate::pixel_format::PixelFormat;
+use crate::rect::Rect;
+use crate::scale::{MM_PER_PIXEL, Origin, Scale};
 
 /// Shortest and longest field of view in millimetres along the gel's longer side: what the weights are
 /// trained for.
 pub const FIELD_MM: [f32; 2] = [10.0, 60.0];
-/// Millimetres a pixel: from 60 mm on 65 535 pixels to 10 mm on 16.
-const MM_PER_PIXEL: [f32; 2] = [5e-4, 1.0];
 /// Distortions of a lens that is meant to take pictures; from −1/3 on they would fold back at the corners.
 const DISTORTION: [f32; 2] = [-0.3, 0.5];
 /// Greatest coefficient of a light: real ones are below 1.
@@ -56,10 +58,13 @@ pub struct Sensor {
     /// The part of the frame that shows the gel; `None` for all of it. Needs `frame`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gel: Option<Rect>,
-    /// Millimetres on the undeformed gel for a pixel of the frame; `None` if the gel's shorter side
-    /// has 40 mm.
+    /// Millimetres on the undeformed gel for a pixel of the frame; `None` if nobody knows: then 40 mm are
+    /// assumed along the gel's shorter side ([`Origin::Assumed`]).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mm_per_pixel: Option<f32>,
+    /// Frames of other sizes that it gives besides: its camera's raw ones, say. Need `frame`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub other_frames: Vec<SensorFrame>,
     /// The lens' radial distortion κ: a place at the distance r from the frame's middle, in half
     /// diagonals, shows what a pinhole would show at r (1 + κ r²).
     #[serde(default)]
@@ -67,15 +72,40 @@ pub struct Sensor {
     /// Dots printed on the gel.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub markers: Option<Markers>,
-    /// A frame without contact.
+    /// The picture of a frame without contact.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reference: Option<PathBuf>,
+    /// That frame itself, which [`Sensor::open`] reads.
+    #[serde(skip)]
+    pub reference_frame: Option<Arc<Frame<'static>>>,
     /// How slopes of the gel change its brightness: for the simulator, from `smr-gpu calibrate`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub light: Option<Light>,
     /// How well simulated presses of a ball agree with real ones: from `smr-gpu calibrate`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub agreement: Option<Agreement>,
+}
+
+/// A sensor's frames of one size.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SensorFrame {
+    /// Width and height in pixels.
+    pub frame: [u32; 2],
+    /// The part that shows the gel; `None` for all of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gel: Option<Rect>,
+    /// Millimetres on the undeformed gel for a pixel.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mm_per_pixel: Option<f32>,
+}
+
+impl SensorFrame {
+    /// Its gel.
+    fn window(&self) -> Rect {
+        let [width, height] = self.frame;
+        self.gel.unwrap_or(Rect { x: 0, y: 0, width, height })
+    }
 }
 
 /// How slopes of the gel change its brightness.
@@ -118,19 +148,6 @@ pub struct Markers {
     pub diameter_mm: f32,
 }
 
-/// What one frame shows.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct View {
-    /// Width and height of the frame.
-    pub frame: [u32; 2],
-    /// The part that the network sees.
-    pub part: Rect,
-    /// The middle of the gel, where millimetres begin.
-    pub middle: [f32; 2],
-    pub mm_per_pixel: f32,
-    pub lens: Lens,
-}
-
 /// The lens that drew a frame, in the frame's pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Lens {
@@ -144,30 +161,25 @@ pub(crate) struct Lens {
 
 impl Lens {
     /// That of a frame of this size, whose upper left corner is at `origin`.
-    fn of(origin: [f64; 2], size: [f64; 2], distortion: f32) -> Self {
+    pub fn of(origin: [f64; 2], size: [f64; 2], distortion: f32) -> Self {
         let axis = [0, 1].map(|i| (origin[i] + size[i] / 2.0) as f32);
         Self { axis, half_diagonal: (size[0].hypot(size[1]) / 2.0) as f32, distortion }
     }
 }
 
-impl View {
-    /// Place on the gel, in millimetres from its middle, that is seen at this place of the frame.
-    pub fn place_mm(&self, place: [f32; 2]) -> [f32; 2] {
-        let Lens { axis, half_diagonal, distortion } = self.lens;
-        let straight = |[x, y]: [f32; 2]| {
-            let (x, y) = (x - axis[0], y - axis[1]);
-            let r = x.hypot(y) / half_diagonal;
-            let stretch = 1.0 + distortion * r * r;
-            [x * stretch, y * stretch]
-        };
-        let ([x, y], [x0, y0]) = (straight(place), straight(self.middle));
-        [(x - x0) * self.mm_per_pixel, (y - y0) * self.mm_per_pixel]
-    }
+/// What a sensor says of a frame of some size.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Sensed {
+    /// The part that shows the gel.
+    pub gel: Rect,
+    /// `None` where the sensor has none.
+    pub scale: Option<Scale>,
+    pub lens: Lens,
 }
 
 impl Sensor {
     /// Names that [`Sensor::named`] knows.
-    pub const NAMES: [&str; 3] = ["paper", "gelsight-mini", "plain"];
+    pub const NAMES: [&str; 4] = ["paper", "gelsight-mini", "digit", "plain"];
 
     /// The paper's: the central 1000 × 1000 pixels of 1920 × 1200 show 40 × 40 mm.
     pub fn paper() -> Self {
@@ -179,34 +191,52 @@ impl Sensor {
         }
     }
 
-    /// GelSight Mini's frames as its software gives them, 320 × 240 pixels of 0.0634 mm.
+    /// GelSight Mini's frames as its software gives them, 320 × 240 pixels of 0.0634 mm, and those of its
+    /// camera, 3280 × 2464, of which the software cuts 15 % off each border.
     pub fn gelsight_mini() -> Self {
+        let (x, y, width, height) = (492, 370, 2296, 1724);
+        let raw = SensorFrame {
+            frame: [3280, 2464],
+            gel: Some(Rect { x, y, width, height }),
+            mm_per_pixel: Some(0.0634 * 320.0 / width as f32),
+        };
         Self {
             frame: Some([320, 240]),
             mm_per_pixel: Some(0.0634),
+            other_frames: vec![raw],
             ..Self::plain().called("gelsight-mini")
         }
     }
 
-    /// Frames of any size, all of them gel, of which the shorter side has 40 mm; set `mm_per_pixel` for
-    /// another scale.
+    /// DIGIT's frames as its interface gives them, upright or as its camera does: 320 pixels along the 19 mm
+    /// of gel that its makers state (Lambeta et al. 2020).
+    pub fn digit() -> Self {
+        let frame = |frame| SensorFrame { frame, gel: None, mm_per_pixel: Some(19.0 / 320.0) };
+        let others = [[320, 240], [480, 640], [640, 480]].map(|size| {
+            let finer = size[0].max(size[1]) as f32 / 320.0;
+            SensorFrame { mm_per_pixel: Some(19.0 / 320.0 / finer), ..frame(size) }
+        });
+        let SensorFrame { frame, mm_per_pixel, .. } = frame([240, 320]);
+        let (frame, other_frames) = (Some(frame), others.to_vec());
+        Self { frame, mm_per_pixel, other_frames, ..Self::plain().called("digit") }
+    }
+
+    /// Frames of any size, all of them gel, of which the shorter side is assumed to have 40 mm; set
+    /// `mm_per_pixel` for a known scale.
     pub fn plain() -> Self {
         Self {
             name: "plain".into(),
             frame: None,
             gel: None,
             mm_per_pixel: None,
+            other_frames: Vec::new(),
             distortion: 0.0,
             markers: None,
             reference: None,
+            reference_frame: None,
             light: None,
             agreement: None,
         }
-    }
-
-    /// Frames of any size, all of them gel, at this scale.
-    pub fn of_scale(mm_per_pixel: f32) -> Self {
-        Self { mm_per_pixel: Some(mm_per_pixel), ..Self::plain() }
     }
 
     fn called(mut self, name: &str) -> Self {
@@ -219,16 +249,18 @@ impl Sensor {
         Some(match name {
             "paper" => Self::paper(),
             "gelsight-mini" => Self::gelsight_mini(),
+            "digit" => Self::digit(),
             "plain" => Self::plain(),
             _ => return None,
         })
     }
 
-    /// Reads a sensor file. Where it names a reference frame, that is relative to the file's folder.
+    /// Reads a sensor file and the reference frame that it names, relative to the file's folder.
     ///
     /// # Errors
     /// [`Error::Sensor`] for a file that cannot be read, is not JSON with these fields, or holds what
-    /// [`Sensor::check`] refuses.
+    /// [`Sensor::check`] refuses; for a reference frame that cannot be read, for which the feature `picture`
+    /// is needed, or that has another size than `frame`.
     pub fn open(path: &Path) -> Result<Self> {
         let fail = |message: String| Error::Sensor { sensor: path.display().to_string(), message };
         let bytes = files::read(path, MAX_FILE).map_err(|e| fail(e.to_string()))?;
@@ -239,6 +271,9 @@ impl Sensor {
         })?;
         if let (Some(reference), Some(folder)) = (&mut sensor.reference, path.parent()) {
             *reference = folder.join(&*reference);
+            let read = read_reference(reference, sensor.frame);
+            let about = |e: String| fail(format!("reference {}: {e}", reference.display()));
+            sensor.reference_frame = Some(Arc::new(read.map_err(about)?));
         }
         Ok(sensor)
     }
@@ -266,19 +301,26 @@ impl Sensor {
             let fits = (least..=most).contains(&value);
             self.expect(fits, || format!("{name}: expected {least} to {most}, got {value}"))
         };
-        if let Some([width, height]) = self.frame {
+        for [width, height] in self.frames().map(|own| own.frame) {
             let fits = [width, height].iter().all(|side| (1..=MAX_SIDE).contains(side));
             let got = || format!("frame: expected sides of 1 to {MAX_SIDE}, got {width}, {height}");
             self.expect(fits, got)?;
         }
-        if let Some(gel) = self.gel {
-            let Some([width, height]) = self.frame else {
-                return Err(self.fail("gel: expected `frame` beside it, got none".into()));
-            };
-            self.expect(gel.is_in(width, height), || {
-                format!("gel: expected a part of {width} × {height} pixels, got {gel:?}")
+        self.expect(self.gel.is_none() || self.frame.is_some(), || {
+            "gel: expected `frame` beside it, got none".into()
+        })?;
+        for SensorFrame { frame: [width, height], gel, .. } in self.frames() {
+            let outside = gel.filter(|gel| !gel.is_in(width, height));
+            self.expect(outside.is_none(), || {
+                let got = outside.map(|gel| gel.to_string()).unwrap_or_default();
+                format!("gel: expected a part of {width} × {height} pixels, got {got}")
             })?;
         }
+        let others = self.other_frames.is_empty() || self.frame.is_some();
+        self.expect(others, || "other_frames: expected `frame` beside it, got none".into())?;
+        let mut scales = self.other_frames.iter().map(|own| own.mm_per_pixel);
+        scales
+            .try_for_each(|mm| mm.map_or(Ok(()), |mm| range("other_frames", mm, MM_PER_PIXEL)))?;
         if let Some(mm) = self.mm_per_pixel {
             range("mm_per_pixel", mm, MM_PER_PIXEL)?;
         }
@@ -297,11 +339,21 @@ impl Sensor {
                 )
             })?;
         }
-        match self.frame {
-            // The field is known before any frame is.
-            Some([width, height]) => self.view([width, height], None).map(|_| ()),
-            None => Ok(()),
+        // The fields are known before any frame is.
+        for own in self.frames() {
+            let Some(mm) = own.mm_per_pixel else { continue };
+            let window = own.window();
+            let pixels = window.width.max(window.height);
+            let ([least, most], field) = (FIELD_MM, pixels as f32 * mm);
+            // Rounded to whole pixels, a field at the end of the range may lie a hair past it.
+            self.expect((least * 0.999..=most * 1.001).contains(&field), || {
+                format!(
+                    "expected a field of {least} to {most} mm along the gel's longer side, got \
+                     {field:.3} mm: {pixels} pixels of {mm:.5} mm"
+                )
+            })?;
         }
+        Ok(())
     }
 
     fn expect(&self, fits: bool, message: impl FnOnce() -> String) -> Result<()> {
@@ -312,127 +364,122 @@ impl Sensor {
         Error::Sensor { sensor: self.name.clone(), message }
     }
 
-    /// What a frame of this width and height shows, or its part `crop`.
-    ///
-    /// Frames of the sensor's shape at another resolution are taken for scaled ones, and those of the
-    /// gel's shape for the gel alone.
-    ///
-    /// # Errors
-    /// [`Error::Sensor`] for a frame of another shape, and for a field outside [`FIELD_MM`].
-    pub(crate) fn view(&self, frame: [u32; 2], crop: Option<Rect>) -> Result<View> {
-        self.view_at(frame, crop, None)
+    /// Its frames: the one that it is described by, and the others.
+    fn frames(&self) -> impl Iterator<Item = SensorFrame> {
+        let (gel, mm_per_pixel) = (self.gel, self.mm_per_pixel);
+        let own = self.frame.map(|frame| SensorFrame { frame, gel, mm_per_pixel });
+        own.into_iter().chain(self.other_frames.iter().copied())
     }
 
-    /// [`Sensor::view`] of a frame of which a pixel has `stated` millimetres, if that is known.
-    ///
-    /// # Errors
-    /// As [`Sensor::view`].
-    pub(crate) fn view_at(
-        &self,
-        frame: [u32; 2],
-        crop: Option<Rect>,
-        stated: Option<f32>,
-    ) -> Result<View> {
-        let [width, height] = frame;
-        let all = Rect { x: 0, y: 0, width, height };
-        let mut gel = all;
-        let mut mm_per_pixel = self.mm_per_pixel;
-        let mut lens = Lens::of([0.0; 2], frame.map(f64::from), self.distortion);
-        if let Some([w, h]) = self.frame {
-            let own = self.gel.unwrap_or(Rect { x: 0, y: 0, width: w, height: h });
-            let scale = if same_shape(frame, [w, h]) {
-                let scale = [f64::from(width) / f64::from(w), f64::from(height) / f64::from(h)];
-                gel = own.scaled(scale, frame);
-                scale[0]
-            } else if same_shape(frame, [own.width, own.height]) {
-                let scale = f64::from(width) / f64::from(own.width);
-                let origin = [own.x, own.y].map(|at| -f64::from(at) * scale);
-                lens =
-                    Lens::of(origin, [w, h].map(|side| f64::from(side) * scale), self.distortion);
-                scale
-            } else {
-                return Err(self.fail(format!(
-                    "expected frames of the shape of {w} × {h} pixels, or of its gel's {} × {}; got \
-                     {width} × {height}",
-                    own.width, own.height
-                )));
-            };
-            mm_per_pixel = mm_per_pixel.map(|mm| (f64::from(mm) / scale) as f32);
-        }
-        let shorter = gel.width.min(gel.height) as f32;
-        let mm_per_pixel = stated.or(mm_per_pixel).unwrap_or(PAPER_MM / shorter);
-        let part = crop.unwrap_or(gel);
-        let field = part.width.max(part.height) as f32 * mm_per_pixel;
-        let [least, most] = FIELD_MM;
-        // Rounded to whole pixels, a field at the end of the range may lie a hair past it.
-        let fits = (least * 0.999..=most * 1.001).contains(&field);
-        self.expect(fits, || {
-            format!(
-                "expected a field of {least} to {most} mm along its longer side, got {field:.3} mm: \
-                 {} pixels of {mm_per_pixel:.5} mm",
-                part.width.max(part.height)
-            )
-        })?;
-        Ok(View { frame, part, middle: part.middle(), mm_per_pixel, lens })
+    /// Whether frames of this width and height are its own, not scaled ones.
+    pub(crate) fn takes(&self, size: [u32; 2]) -> bool {
+        self.frames().any(|own| own.frame == size)
     }
 
-    /// The part of this sensor's frames of size `other` that shows what a view's part does; `None` for what
-    /// they do not show, and for a sensor without a size of its own.
-    pub(crate) fn same_part(&self, view: &View, other: [u32; 2]) -> Option<Rect> {
-        self.frame?;
-        // Where the whole frame's middle is in each, and how large the whole frame.
-        let lens = |size| self.view(size, None).ok().map(|view| view.lens);
-        let (here, there) = (lens(view.frame)?, lens(other)?);
-        let scale = there.half_diagonal / here.half_diagonal;
-        let side = |axis: usize, at: u32, length: u32| {
-            let edge = |at: u32| ((at as f32 - here.axis[axis]) * scale + there.axis[axis]).round();
-            let (from, to, all) = (edge(at), edge(at + length), other[axis] as f32);
-            let rounding = SAME_SHAPE as f32 * all;
-            let shown = from >= -rounding && to <= all + rounding;
-            let (from, to) = (from.max(0.0), to.min(all));
-            (shown && from < to).then_some((from as u32, (to - from) as u32))
+    /// What it says of a frame of this width and height.
+    ///
+    /// One of its own sizes is that frame. Others of a frame's shape are taken for scaled ones, and those of
+    /// the gel's shape for the gel alone.
+    ///
+    /// # Errors
+    /// [`Error::Sensor`] for a frame of another shape.
+    pub(crate) fn sense(&self, size: [u32; 2]) -> Result<Sensed> {
+        let [width, height] = size;
+        let scaled = |mm: Option<f32>, times: f64, from| {
+            mm.map(|mm| Scale { mm_per_pixel: (f64::from(mm) / times) as f32, from })
         };
-        let (x, width) = side(0, view.part.x, view.part.width)?;
-        let (y, height) = side(1, view.part.y, view.part.height)?;
+        let Some(main) = self.frames().next() else {
+            let (gel, lens) = (Rect { x: 0, y: 0, width, height }, self.lens([0.0; 2], size, None));
+            return Ok(Sensed { gel, scale: scaled(self.mm_per_pixel, 1.0, Origin::Sensor), lens });
+        };
+        let of_shape: Vec<_> = self.frames().filter(|own| same_shape(size, own.frame)).collect();
+        let exact = of_shape.iter().find(|own| own.frame == size);
+        if let Some(own) = exact.or(of_shape.first()) {
+            let times = [0, 1].map(|axis| f64::from(size[axis]) / f64::from(own.frame[axis]));
+            // Of a scaled frame nobody knows which of several it was.
+            let from = match exact.is_some() || of_shape.len() == 1 {
+                true => Origin::Sensor,
+                false => Origin::Assumed,
+            };
+            let scale = scaled(own.mm_per_pixel, times[0], from);
+            let lens = self.lens([0.0; 2], size, Some(own));
+            return Ok(Sensed { gel: own.window().scaled(times, size), scale, lens });
+        }
+        let gel = main.window();
+        if !same_shape(size, [gel.width, gel.height]) {
+            let shapes: Vec<_> = self.frames().map(|own| own.frame).collect();
+            let shapes: Vec<_> = shapes.iter().map(|[w, h]| format!("{w} × {h}")).collect();
+            return Err(self.fail(format!(
+                "expected frames of the shape of {} pixels, or of its gel's {} × {}; got {width} × {height}",
+                shapes.join(" or "),
+                gel.width,
+                gel.height
+            )));
+        }
+        let times = f64::from(width) / f64::from(gel.width);
+        let origin = [gel.x, gel.y].map(|at| -f64::from(at) * times);
+        let whole = main.frame.map(|side| f64::from(side) * times);
+        let scale = scaled(main.mm_per_pixel, times, Origin::Sensor);
+        let lens = Lens::of(origin, whole, self.distortion);
+        Ok(Sensed { gel: Rect { x: 0, y: 0, width, height }, scale, lens })
+    }
+
+    /// The lens in a frame of this size, which is `own`, scaled.
+    fn lens(&self, origin: [f64; 2], size: [u32; 2], own: Option<&SensorFrame>) -> Lens {
+        let lens = Lens::of(origin, size.map(f64::from), self.distortion);
+        // The distortion is stated in half diagonals of the frame that describes the sensor.
+        let diagonal = |[w, h]: [u32; 2]| f64::from(w).hypot(f64::from(h));
+        let main = self.frames().next();
+        let longer = main.zip(own).map_or(1.0, |(main, own)| {
+            let mm = main.mm_per_pixel.zip(own.mm_per_pixel);
+            let finer = mm.map_or(1.0, |(main, own)| f64::from(main) / f64::from(own));
+            finer * diagonal(main.frame) / diagonal(own.frame)
+        });
+        Lens { half_diagonal: (f64::from(lens.half_diagonal) * longer) as f32, ..lens }
+    }
+
+    /// The part of this sensor's frames of size `other` that shows what a part of a frame of size `size` with
+    /// this gel does; `None` for what they do not show, and for a sensor without a size of its own.
+    pub(crate) fn same_part(&self, gel: Rect, part: Rect, other: [u32; 2]) -> Option<Rect> {
+        self.frame?;
+        let there = self.sense(other).ok()?.gel;
+        let side = |from: [u32; 2], part: [u32; 2], to: [u32; 2], all: u32| {
+            let times = f64::from(to[1]) / f64::from(from[1]);
+            let edge =
+                |at: u32| (f64::from(to[0]) + (f64::from(at) - f64::from(from[0])) * times).round();
+            let (first, end) = (edge(part[0]), edge(part[0] + part[1]));
+            let rounding = SAME_SHAPE * f64::from(all);
+            let shown = first >= -rounding && end <= f64::from(all) + rounding;
+            let (first, end) = (first.max(0.0) as u32, (end as u32).min(all));
+            (shown && first < end).then(|| (first, end - first))
+        };
+        let across = |r: Rect| [r.x, r.width];
+        let along = |r: Rect| [r.y, r.height];
+        let (x, width) = side(across(gel), across(part), across(there), other[0])?;
+        let (y, height) = side(along(gel), along(part), along(there), other[1])?;
         Some(Rect { x, y, width, height })
     }
 }
 
-/// What a frame shows of a sensor that nobody named: the paper's. A frame of its shape has the gel where
-/// the paper's has; any other shows gel all over, 40 mm along its shorter side, and of its longer one the
-/// middle [`FIELD_MM`] at most.
-pub(crate) fn assumed(frame: [u32; 2], crop: Option<Rect>) -> View {
-    let [width, height] = frame;
-    let paper = Sensor::paper().view(frame, None);
-    let gel = paper.map_or(Rect { x: 0, y: 0, width, height }, |view| view.part);
-    let gel = crop.unwrap_or(gel);
-    let part = gel.central(FIELD_MM[1] / PAPER_MM);
-    let mm_per_pixel = PAPER_MM / part.width.min(part.height) as f32;
-    let lens = Lens::of([0.0; 2], frame.map(f64::from), 0.0);
-    View { frame, part, middle: gel.middle(), mm_per_pixel, lens }
+/// The picture of an untouched gel.
+///
+/// # Errors
+/// In words.
+#[cfg(feature = "picture")]
+fn read_reference(file: &Path, size: Option<[u32; 2]>) -> Result<Frame<'static>, String> {
+    let picture = crate::picture::read(file).map_err(|e| e.to_string())?.into_rgb8();
+    let (width, height) = picture.dimensions();
+    match size.filter(|size| *size != [width, height]) {
+        Some([w, h]) => {
+            Err(format!("expected {w} × {h} pixels as the sensor's frames, got {width} × {height}"))
+        }
+        None => Ok(Frame::new(picture.into_raw(), width, height, PixelFormat::Rgb8)),
+    }
 }
 
-/// What is assumed of a frame that cannot be the paper's when nobody named its sensor, in a line.
-pub(crate) fn assumption(frame: [u32; 2]) -> Option<String> {
-    let [width, height] = frame;
-    let known = Sensor::paper().view(frame, None).is_ok();
-    (!known).then(|| {
-        let View { part, mm_per_pixel, .. } = assumed(frame, None);
-        let [across, along] = [part.width, part.height].map(|side| side as f32 * mm_per_pixel);
-        let seen = match [part.width, part.height] == frame {
-            true => "it is taken for".to_owned(),
-            false => {
-                format!("its central {} × {} pixels are taken for", part.width, part.height)
-            }
-        };
-        let named = Sensor::NAMES.into_iter().find(|name| {
-            Sensor::named(name).is_some_and(|sensor| sensor.frame == Some(frame))
-        });
-        let like = named.map_or(String::new(), |name| format!(", not for one of {name}'s"));
-        format!(
-            "{width} × {height} is no frame of the paper's sensor: {seen} {across:.1} × {along:.1} mm{like}"
-        )
-    })
+#[cfg(not(feature = "picture"))]
+fn read_reference(_: &Path, _: Option<[u32; 2]>) -> Result<Frame<'static>, String> {
+    Err("expected the feature `picture`, which reads it".into())
 }
 
 fn same_shape([w, h]: [u32; 2], [other_w, other_h]: [u32; 2]) -> bool {
@@ -448,33 +495,73 @@ mod tests {
         Rect { x, y, width, height }
     }
 
+    /// The gel, the millimetres a pixel and where they are from.
+    fn sensed(sensor: &Sensor, size: [u32; 2]) -> (Rect, f32, Origin) {
+        let Sensed { gel, scale, .. } = sensor.sense(size).expect("a frame of its shape");
+        let Scale { mm_per_pixel, from } = scale.expect("a scale");
+        (gel, mm_per_pixel, from)
+    }
+
     #[test]
     fn the_papers_frames() {
         let paper = Sensor::paper();
         paper.check().expect("a sound sensor");
-        let raw = paper.view([1920, 1200], None).expect("a view");
-        assert_eq!((raw.part, raw.mm_per_pixel), (rect(460, 100, 1000, 1000), 0.04));
-        // 12.5 columns right of the middle and 25 rows above it.
-        assert_eq!(raw.place_mm([972.5, 575.0]), [0.5, -1.0]);
+        let from = Origin::Sensor;
+        assert_eq!(sensed(&paper, [1920, 1200]), (rect(460, 100, 1000, 1000), 0.04, from));
         // Half as many pixels, and the gel alone at a quarter.
-        let half = paper.view([960, 600], None).expect("a view");
-        assert_eq!((half.part, half.mm_per_pixel), (rect(230, 50, 500, 500), 0.08));
-        let gel = paper.view([250, 250], None).expect("a view");
-        assert_eq!((gel.part, gel.mm_per_pixel), (rect(0, 0, 250, 250), 0.16));
-        // A stated scale is that of the frame that came, not of the sensor's.
-        let stated = paper.view_at([250, 250], None, Some(0.1)).expect("a view");
-        assert_eq!((stated.part, stated.mm_per_pixel), (rect(0, 0, 250, 250), 0.1));
-        let message = paper.view([640, 480], None).expect_err("an error").to_string();
+        assert_eq!(sensed(&paper, [960, 600]), (rect(230, 50, 500, 500), 0.08, from));
+        assert_eq!(sensed(&paper, [250, 250]), (rect(0, 0, 250, 250), 0.16, from));
+        let message = paper.sense([640, 480]).expect_err("an error").to_string();
         let want = "sensor `paper`: expected frames of the shape of 1920 × 1200 pixels, or of its gel's \
                     1000 × 1000; got 640 × 480";
         assert_eq!(message, want);
     }
 
+    /// The software of GelSight Mini keeps 70 % of its camera's frame along each side and scales that to 320 × 240.
+    #[test]
+    fn raw_frames_have_a_gel_and_a_scale_of_their_own() {
+        let mini = Sensor::gelsight_mini();
+        assert_eq!(sensed(&mini, [320, 240]), (rect(0, 0, 320, 240), 0.0634, Origin::Sensor));
+        let (gel, raw, from) = sensed(&mini, [3280, 2464]);
+        assert_eq!((gel, from), (rect(492, 370, 2296, 1724), Origin::Sensor));
+        let [across, along] = [gel.width, gel.height].map(|side| side as f32 * raw);
+        assert!(
+            (across - 20.288).abs() < 0.01 && (along - 15.216).abs() < 0.03,
+            "{across} {along}"
+        );
+        // One or the other, scaled.
+        assert_eq!(sensed(&mini, [640, 480]), (rect(0, 0, 640, 480), 0.0317, Origin::Assumed));
+        let digit = Sensor::digit();
+        for (size, mm) in
+            [([240, 320], 0.059375), ([320, 240], 0.059375), ([480, 640], 0.029_687_5)]
+        {
+            let gel = rect(0, 0, size[0], size[1]);
+            assert_eq!(sensed(&digit, size), (gel, mm, Origin::Sensor), "{size:?}");
+        }
+    }
+
+    /// Half of the diagonal of the frame that describes the sensor is as long on the gel in each of its frames.
+    #[test]
+    fn a_lens_is_one_in_all_frames() {
+        let text = r#"{ "name": "lens", "frame": [300, 400], "mm_per_pixel": 0.05, "distortion": -0.1,
+            "other_frames": [{ "frame": [1000, 800], "mm_per_pixel": 0.025,
+                "gel": { "x": 200, "y": 0, "width": 600, "height": 800 } }] }"#;
+        let sensor = Sensor::parse(text).expect("a sensor");
+        let lens = |size| sensor.sense(size).expect("a frame").lens;
+        let own = lens([300, 400]);
+        assert_eq!((own.axis, own.half_diagonal), ([150.0, 200.0], 250.0));
+        let raw = lens([1000, 800]);
+        assert_eq!((raw.axis, raw.half_diagonal), ([500.0, 400.0], 500.0));
+        assert_eq!(lens([500, 400]).half_diagonal, 250.0);
+    }
+
     #[test]
     fn frames_of_two_sizes_show_the_same_in_these_parts() {
         let paper = Sensor::paper();
-        let same =
-            |frame, crop, other| paper.same_part(&paper.view(frame, crop).expect("a view"), other);
+        let same = |size, crop: Option<Rect>, other| {
+            let gel = paper.sense(size).expect("a frame").gel;
+            paper.same_part(gel, crop.unwrap_or(gel), other)
+        };
         // Half as many pixels, the gel alone at half, and a part of that.
         assert_eq!(same([960, 600], None, [1920, 1200]), Some(rect(460, 100, 1000, 1000)));
         assert_eq!(same([500, 500], None, [1920, 1200]), Some(rect(460, 100, 1000, 1000)));
@@ -484,60 +571,8 @@ mod tests {
         assert_eq!(same([1920, 1200], None, [500, 500]), Some(rect(0, 0, 500, 500)));
         assert_eq!(same([1920, 1200], Some(rect(300, 100, 1000, 1000)), [500, 500]), None);
         assert_eq!(same([1920, 1200], None, [640, 480]), None);
-        let plain = Sensor::plain();
-        let view = plain.view([100, 100], None).expect("a view");
-        assert_eq!(plain.same_part(&view, [200, 200]), None);
-    }
-
-    #[test]
-    fn without_a_sensor_the_papers_is_assumed() {
-        assert_eq!(
-            assumed([1920, 1200], None),
-            Sensor::paper().view([1920, 1200], None).expect("a view")
-        );
-        assert_eq!(assumption([1920, 1200]), None);
-        assert_eq!(assumption([500, 500]), None);
-        let mini = assumed([320, 240], None);
-        assert_eq!((mini.part, mini.mm_per_pixel), (rect(0, 0, 320, 240), 40.0 / 240.0));
-        let want = "320 × 240 is no frame of the paper's sensor: it is taken for 53.3 × 40.0 mm, \
-                    not for one of gelsight-mini's";
-        assert_eq!(assumption([320, 240]).as_deref(), Some(want));
-        // 60 mm at most: three halves of the shorter side.
-        let long = assumed([200, 801], None);
-        assert_eq!((long.part, long.mm_per_pixel), (rect(0, 250, 200, 300), 0.2));
-        let want = "200 × 801 is no frame of the paper's sensor: its central 200 × 300 pixels are taken \
-                    for 40.0 × 60.0 mm";
-        assert_eq!(assumption([200, 801]).as_deref(), Some(want));
-        // A part that is named is what shows the gel.
-        let part = assumed([320, 240], Some(rect(10, 20, 125, 80)));
-        assert_eq!((part.part, part.middle), (rect(12, 20, 120, 80), [72.5, 60.0]));
-        // A line of pixels has a middle too.
-        assert_eq!(assumed([1, 8192], None).part, rect(0, 4095, 1, 1));
-    }
-
-    /// κ = −0.1 at half of the half diagonal, 250 of 500 px: 250 (1 − 0.1 / 4) = 243.75 px.
-    #[test]
-    fn a_lens_bends_places_but_not_the_middle() {
-        let text =
-            r#"{ "name": "lens", "frame": [800, 600], "mm_per_pixel": 0.05, "distortion": -0.1 }"#;
-        let view = Sensor::parse(text).expect("a sensor").view([800, 600], None).expect("a view");
-        assert_eq!(view.place_mm([400.0, 300.0]), [0.0, 0.0]);
-        let [x, y] = view.place_mm([600.0, 450.0]);
-        assert!((x - 0.8 * 243.75 * 0.05).abs() < 1e-5 && (y - 0.6 * 243.75 * 0.05).abs() < 1e-5);
-    }
-
-    /// A picture of the gel alone, at half the size, shows what the whole frame shows there.
-    #[test]
-    fn a_lens_bends_the_gel_alone_as_in_the_whole_frame() {
-        let text = r#"{ "name": "lens", "frame": [800, 600], "mm_per_pixel": 0.05, "distortion": -0.1,
-            "gel": { "x": 300, "y": 100, "width": 400, "height": 400 } }"#;
-        let sensor = Sensor::parse(text).expect("a sensor");
-        let whole = sensor.view([800, 600], None).expect("a view");
-        let alone = sensor.view([200, 200], None).expect("a view");
-        let (in_frame, in_gel) = (whole.place_mm([680.0, 140.0]), alone.place_mm([190.0, 20.0]));
-        for (a, b) in in_frame.into_iter().zip(in_gel) {
-            assert!((a - b).abs() < 1e-4, "{in_frame:?} {in_gel:?}");
-        }
+        let whole = rect(0, 0, 100, 100);
+        assert_eq!(Sensor::plain().same_part(whole, whole, [200, 200]), None);
     }
 
     #[test]
@@ -558,17 +593,24 @@ mod tests {
             ),
             (
                 r#"{ "name": "a", "frame": [100, 80], "mm_per_pixel": 0.7 }"#,
-                "sensor `a`: expected a field of 10 to 60 mm along its longer side, got 70.000 mm: 100 \
-                 pixels of 0.70000 mm",
+                "sensor `a`: expected a field of 10 to 60 mm along the gel's longer side, got 70.000 mm: \
+                 100 pixels of 0.70000 mm",
             ),
             (
                 r#"{ "name": "a", "frame": [100, 80], "gel": { "x": 90, "y": 0, "width": 11, "height": 9 } }"#,
-                "sensor `a`: gel: expected a part of 100 × 80 pixels, got Rect { x: 90, y: 0, width: 11, \
-                 height: 9 }",
+                "sensor `a`: gel: expected a part of 100 × 80 pixels, got 11 × 9 at (90, 0)",
             ),
             (
                 r#"{ "name": "a", "gel": { "x": 0, "y": 0, "width": 1, "height": 1 } }"#,
                 "sensor `a`: gel: expected `frame` beside it, got none",
+            ),
+            (
+                r#"{ "name": "a", "other_frames": [{ "frame": [9, 9] }] }"#,
+                "sensor `a`: other_frames: expected `frame` beside it, got none",
+            ),
+            (
+                r#"{ "name": "a", "frame": [9, 9], "other_frames": [{ "frame": [9, 0] }] }"#,
+                "sensor `a`: frame: expected sides of 1 to 65535, got 9, 0",
             ),
             (
                 r#"{ "name": "a", "markers": { "pitch_mm": 2, "diameter_mm": 3 } }"#,
@@ -579,8 +621,6 @@ mod tests {
         }
         assert!(refused("{}").contains("missing field `name`"));
         assert!(refused(r#"{ "name": "a", "scale": 2 }"#).contains("unknown field `scale`"));
-        let wide = Sensor::of_scale(0.05).view([2000, 10], None).expect_err("an error").to_string();
-        assert!(wide.contains("10 to 60 mm") && wide.contains("100.000 mm"), "{wide}");
     }
 
     #[test]

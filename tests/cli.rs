@@ -296,7 +296,8 @@ fn kernels_are_checked_in_each_precision() {
 fn without_an_adapter_the_cpu_detects() {
     let folder = folder();
     ramp(40, 40).save(folder.path().join("x.png")).expect("saved");
-    let ran = run_without_adapter(folder.path(), &["detect", "x.png", "--json"]).expect(0);
+    let detect = ["detect", "x.png", "--json", "--mm-per-pixel", "0.5"];
+    let ran = run_without_adapter(folder.path(), &detect).expect(0);
     // That is what `auto` means: nothing to tell.
     assert!(ran.told().is_empty(), "{:?}", ran.told());
     assert_eq!(ran.json()[0]["adapter"], "CPU (f32)");
@@ -355,13 +356,13 @@ fn bad_pictures_are_named_and_good_ones_go_through() {
     let ran = run(folder.path(), &arguments).expect(1);
 
     let told = ran.told();
-    // One more line, once a size, for the good ones that cannot be of the paper's sensor.
+    // One more line, once a size, for the good ones, whose scale is assumed, and one for the first without a snap.
     let records = ran.json();
     let size = |r: &Value| ["width", "height"].map(|side| r[side].as_u64().expect("a side"));
-    let sizes: BTreeSet<_> = records.iter().map(size).filter(|[w, h]| w != h).collect();
-    assert!(!sizes.is_empty() && sizes.len() < records.len(), "{sizes:?}");
-    assert_eq!(told.len(), bad.len() + 3 + sizes.len(), "{told:#?}");
-    let assumed = told.iter().filter(|line| line.contains("is no frame of the paper's sensor"));
+    let sizes: BTreeSet<_> = records.iter().map(size).collect();
+    assert!(sizes.len() > 1, "{sizes:?}");
+    assert_eq!(told.len(), bad.len() + 4 + sizes.len(), "{told:#?}");
+    let assumed = told.iter().filter(|line| line.contains(": assumed "));
     assert_eq!(assumed.count(), sizes.len(), "{told:#?}");
     for (file, phrase) in bad.iter().chain(&[
         ("none", "expected a folder with pictures"),
@@ -378,7 +379,7 @@ fn bad_pictures_are_named_and_good_ones_go_through() {
     assert_eq!(files, expected);
     for (record, file) in records.iter().zip(&good) {
         let fields: Vec<&String> = record.as_object().expect("an object").keys().collect();
-        let size = ["height", "mm_per_pixel", "width"];
+        let size = ["gel", "gel_assumed", "height", "mm_per_pixel", "scale_from", "width"];
         let mut all =
             ["adapter", "contact", "detections", "file", "kernels", "precision", "timings_ms"]
                 .to_vec();
@@ -752,8 +753,8 @@ fn the_sensor_sets_scale_and_input() {
     let scale = |ran: &Ran| ran.json()[0]["mm_per_pixel"].as_f64().expect("a scale") as f32;
     let assumed = detect(&[]).expect(0);
     assert_eq!(scale(&assumed), 40.0 / 300.0);
-    let assumption = "x.png: 400 × 300 is no frame of the paper's sensor";
-    assumed.tells(assumption);
+    let assumption = "x.png: 400 × 300: assumed 0.1333 mm a pixel; --sensor, or --mm-per-pixel";
+    assert_eq!(assumed.tells(assumption).json()[0]["scale_from"], "assumed");
     run(folder.path(), &["compare", "x.png", "--size", "32"]).expect(0).tells(assumption);
     let labels = |stated: &str| {
         let labels = r#"{ "categories": [], "annotations": [], "images":
@@ -764,17 +765,26 @@ fn the_sensor_sets_scale_and_input() {
     };
     fs::copy(folder.path().join("x.png"), folder.path().join("y.png")).expect("copied");
     let told = labels("").tells(assumption).stderr;
-    assert_eq!(told.matches("is no frame").count(), 1, "{told}");
+    assert_eq!(told.matches(": assumed").count(), 1, "{told}");
     let told = labels(r#", "mm_per_pixel": 0.05"#).stderr;
-    assert_eq!(told.matches("is no frame").count(), 0, "{told}");
-    let stated = detect(&["--mm-per-pixel", "0.05"]).expect(0);
+    assert_eq!(told.matches(": assumed").count(), 0, "{told}");
+    let stated = detect(&["--mm-per-pixel", "0.05", "--strict-scale"]).expect(0);
     assert!(stated.told().is_empty(), "{:?}", stated.told());
     assert_eq!(scale(&stated), 0.05);
+    assert_eq!(stated.json()[0]["scale_from"], "stated");
+    detect(&["--strict-scale"]).expect(1).tells("x.png: 400 × 300 pixels: expected its scale");
+    let part = detect(&["--mm-per-pixel", "0.05", "--gel", "20,10,300,250"]).expect(0);
+    let want = serde_json::json!({ "x": 20, "y": 10, "width": 300, "height": 250 });
+    assert_eq!((scale(&part), &part.json()[0]["gel"]), (0.05, &want));
+    let outside = detect(&["--mm-per-pixel", "0.05", "--gel", "200,10,300,250"]).expect(1);
+    outside.tells("x.png: 400 × 300 pixels: gel: expected a part of the frame");
+    detect(&["--gel", "1,2,3"]).expect(2).tells("`all` or X,Y,WIDTH,HEIGHT");
     let plain = detect(&["--sensor", "plain"]).expect(0);
     assert_eq!(scale(&plain), 40.0 / 300.0);
-    // Frames of the shape of GelSight Mini's, with 5/4 of its pixels.
+    // Frames of the shape of GelSight Mini's, with 5/4 of its pixels: or raw ones, scaled.
     let mini = detect(&["--sensor", "gelsight-mini"]).expect(0);
     assert_eq!(scale(&mini), 0.0634 / 1.25);
+    mini.tells("x.png: 400 × 300: assumed 0.0507 mm a pixel");
     // A pixel of the pictures that come has what is stated, as these of the paper's gel alone.
     ramp(500, 500).save(folder.path().join("gel.png")).expect("saved");
     let mini = detect(&["--sensor", "gelsight-mini", "--mm-per-pixel", "0.05"]).expect(0);
@@ -797,7 +807,7 @@ fn the_sensor_sets_scale_and_input() {
         .tells("sensor `paper`: expected frames of the shape of");
     detect(&["--sensor", "nobody"])
         .expect(2)
-        .tells("expected paper, gelsight-mini, plain or a file");
+        .tells("expected paper, gelsight-mini, digit, plain or a file");
     detect(&["--mm-per-pixel", "0.5"]).expect(1).tells("expected a field of 10 to 60 mm");
     for scale in ["0", "-1", "NaN", "1e9"] {
         detect(&["--mm-per-pixel", scale]).expect(2).tells("--mm-per-pixel");

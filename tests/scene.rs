@@ -58,7 +58,7 @@ fn without_contact_the_network_does_not_run() {
         assert_eq!((bare.contact, bare.detections.len()), (Some(false), 0), "{device:?}");
         assert_eq!(bare.regions, Some(vec![]), "nobody looked anywhere");
         assert!(bare.stages.iter().all(|time| time.stage == "contact"), "{:?}", bare.stages);
-        assert_eq!((bare.width, bare.mm_per_pixel, bare.proposals), (SIDE, 0.04, 0));
+        assert_eq!((bare.width, bare.scale.mm_per_pixel, bare.proposals), (SIDE, 0.04, 0));
     }
     let detector = GpuDetector::new(config(Device::Cpu, scene)).expect("a detector");
     let touched = detector.detect_frame(&gel(1, 1.0, disc(500, 300))).expect("detections");
@@ -90,14 +90,82 @@ fn a_reference_frame_tells_marks_from_contact() {
     assert_eq!(contact(against, &Frame::new(pixels, 500, 500, PixelFormat::Gray8)), Some(false));
 }
 
+/// The library reads a sensor file's reference frame as the program does, and ignores none.
+#[test]
+fn a_sensor_file_brings_its_reference_frame() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let untouched = gel(2, 0.8, dots);
+    let picture =
+        image::GrayImage::from_raw(SIDE, SIDE, untouched.data.to_vec()).expect("a picture");
+    picture.save(folder.path().join("untouched.png")).expect("written");
+    let text = format!(
+        r#"{{ "name": "own", "frame": [{SIDE}, {SIDE}], "mm_per_pixel": 0.04, "reference": "untouched.png" }}"#
+    );
+    let file = folder.path().join("own.json");
+    std::fs::write(&file, &text).expect("written");
+    let sensor = Sensor::open(&file).expect("a sensor");
+    let scene = Scene { contact: true, ..Scene::FULL };
+    let build = |sensor| GpuDetector::new(config(Device::Cpu, scene).sensor(sensor));
+    let detector = build(sensor).expect("a detector");
+    let contact = |frame: &Frame| detector.detect_frame(frame).expect("detections").contact;
+    assert_eq!(contact(&gel(1, 1.0, dots)), Some(false));
+    let pressed = gel(1, 1.0, |x, y| dots(x, y) + disc(300, 300)(x, y));
+    assert_eq!(contact(&pressed), Some(true));
+    // Of text alone the file is not known.
+    let alone = build(Sensor::parse(&text).expect("a sensor")).expect_err("an error").to_string();
+    assert!(alone.contains("reference: expected its frame, from `Sensor::open`"), "{alone}");
+    std::fs::write(&file, text.replace("1000, 1000", "1000, 900")).expect("written");
+    let other = Sensor::open(&file).expect_err("an error").to_string();
+    assert!(other.contains("expected 1000 × 900 pixels as the sensor's frames"), "{other}");
+}
+
+/// A crop of a frame is found where the whole frame has it, in pixels and in millimetres.
+#[test]
+fn a_crop_changes_no_position() {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/samples/stud.png");
+    let picture = smr_gpu::picture::read(file).expect("a picture");
+    let detector = GpuDetector::new(config(Device::Cpu, Scene::FULL)).expect("a detector");
+    let snap = |frame: &Frame| {
+        let found = detector.detect_frame(frame).expect("detections").detections;
+        found.into_iter().find(|d| d.class == "B" && d.score > 0.9).expect("the stud")
+    };
+    let whole = snap(&Frame::from(&picture));
+    let crop = Rect { x: 0, y: 500, width: 480, height: 480 };
+    let cut = snap(&Frame::from(&picture).crop(crop));
+    // The network sees less around it: half a millimetre of a box's sides, not a factor of two.
+    for (a, b) in whole.bbox.into_iter().zip(cut.bbox) {
+        assert!((a - b).abs() < 12.0, "{:?} {:?}", whole.bbox, cut.bbox);
+    }
+    for (a, b) in whole.center_mm.into_iter().zip(cut.center_mm) {
+        assert!((a - b).abs() < 0.3, "{:?} {:?}", whole.center_mm, cut.center_mm);
+    }
+}
+
+/// Standard deviations are those of the weights' own scale, and unknown at another.
+#[test]
+fn deviations_hold_at_the_weights_scale_alone() {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/samples/stud.png");
+    let picture = smr_gpu::picture::read(file).expect("a picture");
+    for (size, stated) in [(None, true), (Some(320), true), (Some(352), false), (Some(256), false)]
+    {
+        let mut config = config(Device::Cpu, Scene::FULL).score(0.5);
+        config.input_size = size;
+        let detector = GpuDetector::new(config).expect("a detector");
+        let found = detector.detect(&picture).expect("detections").detections;
+        assert!(!found.is_empty(), "{size:?}");
+        assert!(found.iter().all(|d| d.center_std_mm.is_some() == stated), "{size:?}: {found:?}");
+    }
+}
+
 /// A sensor's frames at half their size, and its gel alone, are held to the reference too.
 #[test]
 fn a_reference_frame_is_scaled_and_cropped_as_the_frames_are() {
     let gel_part = Rect { x: 100, y: 200, width: 800, height: 600 };
-    let mut sensor = Sensor::of_scale(0.04);
-    (sensor.frame, sensor.gel) = (Some([SIDE; 2]), Some(gel_part));
+    let untouched = gel(2, 0.8, dots);
+    let frame = Some([SIDE; 2]);
+    let sensor = Sensor { frame, gel: Some(gel_part), mm_per_pixel: Some(0.04), ..Sensor::plain() };
     let config = config(Device::Cpu, Scene { contact: true, ..Scene::FULL }).sensor(sensor);
-    let detector = GpuDetector::new(config.reference(gel(2, 0.8, dots))).expect("a detector");
+    let detector = GpuDetector::new(config.reference(untouched)).expect("a detector");
     let contact = |frame: Frame| detector.detect_frame(&frame).expect("detections").contact;
     let halved = |frame: &Frame| {
         let (half, side) = (SIDE / 2, SIDE as usize);

@@ -36,7 +36,7 @@ pub fn open(folder: &Path) -> Result<Dataset, Box<dyn Error>> {
     Ok(coco::parse(&std::fs::read(folder.join("annotations.json"))?)?)
 }
 
-/// A picture of a folder as a frame with the scale that its label states.
+/// A picture of a folder as a frame with the scale and the gel that its label states.
 ///
 /// # Errors
 /// What reading returns.
@@ -47,9 +47,7 @@ pub fn frame(folder: &Path, labelled: &Picture) -> Result<Frame<'static>, Box<dy
     };
     let decoded = picture::read(&file)?.into_rgb8();
     let (width, height) = decoded.dimensions();
-    let mut frame = Frame::new(decoded.into_raw(), width, height, PixelFormat::Rgb8);
-    frame.mm_per_pixel = labelled.mm_per_pixel;
-    Ok(frame)
+    Ok(labelled.state(Frame::new(decoded.into_raw(), width, height, PixelFormat::Rgb8)))
 }
 
 /// The snaps of a picture.
@@ -59,12 +57,12 @@ pub fn snaps(labelled: &Picture) -> impl Iterator<Item = &Label> {
 
 /// A snap's centre in millimetres.
 pub fn center_mm(label: &Label, found: &Detections) -> [f64; 2] {
-    center(label.truth.bbox).map(|x| x * f64::from(found.mm_per_pixel))
+    center(label.truth.bbox).map(|x| x * f64::from(found.scale.mm_per_pixel))
 }
 
 /// The box of a snap's class that overlaps it most.
 pub fn best(found: &Detections, class: &str, label: &Label) -> Option<Best> {
-    let mm = f64::from(found.mm_per_pixel);
+    let mm = f64::from(found.scale.mm_per_pixel);
     let of_class = found.detections.iter().filter(|d| d.class.eq_ignore_ascii_case(class));
     let boxes = of_class.map(|d| d.bbox.map(f64::from));
     let judged = boxes.map(|bbox| Best {

@@ -96,7 +96,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             }
             Err(failure) => return Err(failure.told()),
         };
-        if let Some(what) = assumed.remark(&detector, source, &comparison.found) {
+        for what in assumed.remarks(source, &comparison.found) {
             tell(what);
         }
         match (args.json, alone) {

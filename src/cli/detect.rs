@@ -10,7 +10,7 @@ use smr_gpu::detector::Stages;
 use smr_gpu::files::Outputs;
 use smr_gpu::graph::StageTime;
 use smr_gpu::tradeoff::Limit;
-use smr_gpu::{Detection, Detections, Frame, GpuDetector, Precision, Rect};
+use smr_gpu::{Detection, Detections, Frame, GpuDetector, Origin, Precision, Rect, Scale};
 
 use super::detector::{self, Assumed, DetectorArgs, exact_fraction, fraction};
 use super::draw::{Artist, Gallery};
@@ -85,7 +85,11 @@ struct Record<'a> {
     file: String,
     width: u32,
     height: u32,
-    mm_per_pixel: f32,
+    /// The part that shows the gel, and whether that is assumed.
+    gel: Rect,
+    gel_assumed: bool,
+    #[serde(flatten)]
+    scale: Scale,
     detections: &'a [Detection],
     /// Whether something touches the gel; null where nobody looked.
     contact: Option<bool>,
@@ -137,10 +141,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let detector = detector::open(config)?;
     let mut gallery = args.save.as_deref().map(Gallery::create).transpose()?;
     let artist = Artist::new(&detector.model().classes);
-    let table = Table::new(&sources);
-    if !args.json {
-        table.heading()?;
-    }
+    let mut table = Table::new(&sources);
     let (mut pictures, mut snaps, start) = (0, 0, Instant::now());
     let mut assumed = Assumed::default();
     for source in &sources {
@@ -160,9 +161,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             }
             Err(failure) => return Err(failure.told()),
         };
-        if let Some(what) = assumed.remark(&detector, source, &found) {
-            tell(what);
-        }
+        assumed.remarks(source, &found).iter().for_each(tell);
         if found.precision != detector.precision() {
             tell(format!("{source}: past what f16 holds; looked at again in f32"));
         }
@@ -231,7 +230,9 @@ fn record<'a>(source: &Source, found: &'a Detections, detector: &'a GpuDetector)
         file: source.to_string(),
         width: found.width,
         height: found.height,
-        mm_per_pixel: found.mm_per_pixel,
+        gel: found.gel,
+        gel_assumed: found.gel_assumed,
+        scale: found.scale,
         detections: &found.detections,
         contact: found.contact,
         regions: found.regions.as_deref(),
@@ -243,29 +244,44 @@ fn record<'a>(source: &Source, found: &'a Detections, detector: &'a GpuDetector)
     }
 }
 
-/// The table for people: a line a snap, or one for a picture without.
+/// The table for people: a line a snap, or one for a picture without, below a head with their scale.
 struct Table {
     file_width: usize,
+    /// That of the last head.
+    scale: Option<Scale>,
 }
 
 impl Table {
     fn new(sources: &[Source]) -> Self {
-        Self { file_width: column_width(sources) }
+        Self { file_width: column_width(sources), scale: None }
     }
 
-    fn heading(&self) -> Result<(), Failure> {
+    /// The head, where the scale is another than that of the last.
+    fn heading(&mut self, scale: Scale) -> Result<(), Failure> {
+        if self.scale.replace(scale) == Some(scale) {
+            return Ok(());
+        }
         let [x1, y1, x2, y2] = ["x1", "y1", "x2", "y2"];
+        let from = match scale.from {
+            Origin::Stated => "stated",
+            Origin::Sensor => "of the sensor",
+            Origin::Label => "of the label",
+            Origin::Assumed => "assumed",
+        };
         line(format!(
-            "{:w$}  class  score  {x1:>7} {y1:>7} {x2:>7} {y2:>7} px  {:>7} {:>7} mm  {:>6} °",
+            "{:w$}  class  score  {x1:>7} {y1:>7} {x2:>7} {y2:>7} px  {:>7} {:>7} mm  {:>6} °  at \
+             {:.4} mm a pixel, {from}",
             "file",
             "x",
             "y",
             "yaw",
+            scale.mm_per_pixel,
             w = self.file_width
         ))
     }
 
-    fn picture(&self, source: &Source, found: &Detections) -> Result<(), Failure> {
+    fn picture(&mut self, source: &Source, found: &Detections) -> Result<(), Failure> {
+        self.heading(found.scale)?;
         let file = printable(source);
         let w = self.file_width;
         if found.detections.is_empty() {

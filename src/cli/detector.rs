@@ -9,8 +9,8 @@ use smr_gpu::files::Outputs;
 use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions};
 use smr_gpu::model::ModelConfig;
 use smr_gpu::{
-    Config, Detections, Device, Error, Frame, GpuDetector, PixelFormat, Precision, Scene, Sensor,
-    WeightSource, picture,
+    Config, Detections, Device, Error, Gel, GpuDetector, Origin, Precision, Scale, Scene, Sensor,
+    WeightSource,
 };
 
 use super::exit::{Exit, Failure};
@@ -53,15 +53,24 @@ pub(super) struct NetworkArgs {
     #[arg(long, value_name = "large|small|FILE")]
     weights: Option<PathBuf>,
 
-    /// The sensor that took the pictures: `paper`, `gelsight-mini`, `plain` (all gel, 40 mm along the
-    /// shorter side), or a sensor file (JSON) [default: the paper's, or what looks like it].
+    /// The sensor that took the pictures: `paper`, `gelsight-mini`, `digit`, `plain` (the whole frame is
+    /// gel), or a sensor file (JSON). Without it, and without --mm-per-pixel, the gel is assumed to have
+    /// 40 mm along its shorter side, which stderr and --json say.
     #[arg(long, value_name = "NAME|FILE", value_parser = given)]
-    sensor: Option<Given>,
+    pub sensor: Option<Given>,
 
-    /// Millimetres of gel that a pixel of the pictures shows, whatever --sensor says of its own frames;
-    /// without --sensor the pictures are gel all over.
-    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
-    mm_per_pixel: Option<f32>,
+    /// Millimetres of gel that a pixel of the pictures shows, whatever --sensor says of its own frames.
+    #[arg(long, value_name = "MM", value_parser = scale, allow_negative_numbers = true)]
+    pub mm_per_pixel: Option<f32>,
+
+    /// The part of each picture that shows the gel, in pixels, or `all` of it [default: what --sensor
+    /// says; else the middle square of frames of the paper's 16 : 10, and all of others].
+    #[arg(long, value_name = "X,Y,W,H|all")]
+    pub gel: Option<Gel>,
+
+    /// Refuse pictures of which nobody states the scale.
+    #[arg(long)]
+    strict_scale: bool,
 
     /// Longer side of the gel in the network's input, in pixels, a multiple of 32 [default: the scale
     /// that the weights know]. Weights know snaps of one size in pixels: the further off, the fewer
@@ -92,7 +101,7 @@ pub(super) struct BoxArgs {
 
 /// A sensor that an option names, with its file if it has one.
 #[derive(Clone, Debug)]
-struct Given {
+pub(super) struct Given {
     sensor: Sensor,
     file: Option<PathBuf>,
 }
@@ -164,6 +173,18 @@ fn given(text: &str) -> Result<Given, String> {
     Ok(Given { sensor: sensor(text)?, file })
 }
 
+/// Parses millimetres a pixel.
+///
+/// # Errors
+/// In words.
+fn scale(text: &str) -> Result<f32, String> {
+    let mm = text.parse().map_err(|_| "expected a number of millimetres".to_owned())?;
+    Scale::stated(mm).check().map(|()| mm).map_err(|e| match e {
+        Error::Param { expected, .. } => format!("expected {expected}"),
+        other => other.to_string(),
+    })
+}
+
 /// Parses a side of the network's input.
 ///
 /// # Errors
@@ -218,11 +239,6 @@ impl AdapterArgs {
 }
 
 impl NetworkArgs {
-    /// Whether the options say how large what a picture shows is.
-    pub fn states_scale(&self) -> bool {
-        self.sensor.is_some() || self.mm_per_pixel.is_some()
-    }
-
     /// Spares what a configuration of these options is read from: the weights, the sensor's file and its
     /// reference frame.
     pub fn spare(&self, outputs: &mut Outputs, config: &Config) {
@@ -237,8 +253,7 @@ impl NetworkArgs {
     /// The library's configuration for these options, on whatever device.
     ///
     /// # Errors
-    /// [`Exit::Usage`] for a scale out of its range, [`Exit::Weights`] if there is no weight file,
-    /// [`Exit::Inputs`] if the sensor's reference frame cannot be read.
+    /// [`Exit::Weights`] if there is no weight file.
     pub fn config(&self, scene: Scene) -> Result<Config, Failure> {
         self.config_with(weight_file(self.weights.as_deref())?, scene)
     }
@@ -248,27 +263,10 @@ impl NetworkArgs {
         let mut config = Config::new(weights);
         config.input_size = self.size;
         config.sensor = self.sensor.as_ref().map(|given| given.sensor.clone());
-        if let Some(scale) = self.mm_per_pixel {
-            let checked = Sensor::of_scale(scale).check();
-            checked.map_err(|e| Failure::usage(format!("--mm-per-pixel: {e}")))?;
-            config.mm_per_pixel = Some(scale);
-        }
+        config.mm_per_pixel = self.mm_per_pixel;
+        config.gel = self.gel;
+        config.strict_scale = self.strict_scale;
         config.scene = scene;
-        let reference = config.sensor.as_ref().and_then(|sensor| sensor.reference.clone());
-        if let Some(file) = reference.filter(|_| config.scene.looks()) {
-            let named = format!("--sensor: reference {}", file.display());
-            let failed = |e| Failure::new(Exit::Inputs, format!("{named}: {e}"));
-            let picture = picture::read(&file).map_err(failed)?.into_rgb8();
-            let (width, height) = picture.dimensions();
-            let frames = config.sensor.as_ref().and_then(|sensor| sensor.frame);
-            if let Some([w, h]) = frames.filter(|frame| *frame != [width, height]) {
-                return Err(Failure::usage(format!(
-                    "{named}: expected {w} × {h} pixels as the sensor's frames, got {width} × {height}"
-                )));
-            }
-            let frame = Frame::new(picture.into_raw(), width, height, PixelFormat::Rgb8);
-            config = config.reference(frame);
-        }
         config.timeout = self.timeout;
         config.precision = self.precision.unwrap_or_default();
         config.choices = tune::folder();
@@ -323,22 +321,41 @@ pub(super) fn open(config: Config) -> Result<GpuDetector, Failure> {
     Ok(detector)
 }
 
-/// The sizes of pictures of which it was told what is assumed.
+/// What was told of assumed scales.
 #[derive(Debug, Default)]
-pub(super) struct Assumed(HashSet<[u32; 2]>);
+pub(super) struct Assumed {
+    /// Sizes of pictures of which it was told what is assumed.
+    sizes: HashSet<[u32; 2]>,
+    /// Whether it was told of a picture without a snap.
+    empty: bool,
+}
 
 impl Assumed {
-    /// What is assumed of a picture's scale, to be told once a size: others of it are most likely of the same
-    /// sensor.
-    pub fn remark(
-        &mut self,
-        detector: &GpuDetector,
-        source: &Source,
-        found: &Detections,
-    ) -> Option<String> {
-        let what = detector.assumption(found.width, found.height)?;
-        let is_new = self.0.insert([found.width, found.height]);
-        is_new.then(|| format!("{source}: {what}; --sensor or --mm-per-pixel say better"))
+    /// What is assumed of a picture, to be told once a size: others of it are most likely of the same sensor;
+    /// and once what that may have cost.
+    pub fn remarks(&mut self, source: &Source, found: &Detections) -> Vec<String> {
+        let size = [found.width, found.height];
+        let mut remarks = Vec::new();
+        if let Some(what) = found.assumption()
+            && self.sizes.insert(size)
+        {
+            let options = match found.scale.from {
+                Origin::Assumed => "--sensor, or --mm-per-pixel and --gel, state it",
+                _ => "--gel states it",
+            };
+            remarks.push(format!("{source}: {what}; {options}"));
+        }
+        let unseen = found.detections.is_empty() && found.contact != Some(false);
+        if unseen && found.scale.from == Origin::Assumed && !self.empty {
+            self.empty = true;
+            remarks.push(format!(
+                "{source}: no snap at the assumed scale, at which {:.1} × {:.1} mm are seen; if it shows \
+                 one, state the scale",
+                found.part.width as f32 * found.scale.mm_per_pixel,
+                found.part.height as f32 * found.scale.mm_per_pixel
+            ));
+        }
+        remarks
     }
 }
 

@@ -12,6 +12,7 @@ use crate::gpu::{AdapterChoice, Faults, GpuOptions};
 use crate::lower::Choice;
 use crate::model::{ModelConfig, Wanted};
 use crate::precision::Precision;
+use crate::scale::Gel;
 use crate::sensor::Sensor;
 
 #[cfg(doc)]
@@ -108,20 +109,23 @@ pub struct Config {
     pub weights: WeightSource,
     /// What runs the network.
     pub device: Device,
-    /// What the pictures show; `None` for the paper's sensor, or what looks like it: see
-    /// [`GpuDetector::assumption`].
+    /// The sensor that takes the pictures; `None` if nobody knows: see [`crate::scale`].
     pub sensor: Option<Sensor>,
     /// Millimetres of gel for a pixel of the frames that come, whatever their size; `None` for what the
-    /// sensor says. Without a sensor frames are then gel all over.
+    /// sensor says. Which part of a frame is gel is a question of its own.
     pub mm_per_pixel: Option<f32>,
+    /// The part of each frame that shows the gel; `None` for what the sensor says.
+    pub gel: Option<Gel>,
+    /// Refuse frames whose scale would be assumed.
+    pub strict_scale: bool,
     /// Longer side of the gel in the network's input, in pixels; `None` for the scale that the weights
     /// know. The input has as many as the next multiple of 32.
     pub input_size: Option<usize>,
     /// What is left out where a picture does not need it.
     pub scene: Scene,
     /// A frame of the sensor without contact, with which others are compared where `scene` looks for
-    /// contact, scaled and cropped as they are; without one, or for frames of another size that are not the
-    /// sensor's, the frame's own smooth background serves.
+    /// contact, scaled and cropped as they are; `None` for [`Sensor::reference_frame`]. Without one, or for
+    /// frames of another size that are not the sensor's, the frame's own smooth background serves.
     pub reference: Option<Arc<Frame<'static>>>,
     /// A detection's score must be above this; in `[0, 1]`.
     pub score: f32,
@@ -183,6 +187,8 @@ impl Config {
             device: Device::default(),
             sensor: None,
             mm_per_pixel: None,
+            gel: None,
+            strict_scale: false,
             input_size: None,
             scene: Scene::default(),
             reference: None,
@@ -219,6 +225,18 @@ impl Config {
     /// Sets [`Config::mm_per_pixel`].
     pub fn mm_per_pixel(mut self, millimetres: f32) -> Self {
         self.mm_per_pixel = Some(millimetres);
+        self
+    }
+
+    /// Sets [`Config::gel`].
+    pub fn gel(mut self, part: Gel) -> Self {
+        self.gel = Some(part);
+        self
+    }
+
+    /// Sets [`Config::strict_scale`].
+    pub fn strict_scale(mut self, strict: bool) -> Self {
+        self.strict_scale = strict;
         self
     }
 

@@ -7,15 +7,16 @@ use crate::detector::Config;
 use crate::detector::input::Input;
 use crate::detector::pool::Pool;
 use crate::detector::runner::{On, Runner};
+use crate::detector::view::View;
 use crate::error::Result;
-use crate::frame::{Frame, Rect};
+use crate::frame::Frame;
 use crate::gpu::Deadline;
 use crate::graph::{Graph, StageTime, TensorId};
 use crate::lower::Choice;
 use crate::model::MAX_PIXELS;
 use crate::ops::{Contact, CropResize};
 use crate::precision::Precision;
-use crate::sensor::View;
+use crate::rect::Rect;
 use crate::shape::{Extent, TensorSpec};
 use crate::tensor::{Tensor, Value};
 
@@ -129,7 +130,7 @@ pub(super) struct Detector {
 /// Rows and columns of cells for what a view shows.
 pub(super) fn cells(view: &View) -> [usize; 2] {
     let side = |pixels: u32| {
-        let cells = f64::from(pixels) * f64::from(view.mm_per_pixel) / CELL_MM;
+        let cells = f64::from(pixels) * f64::from(view.scale.mm_per_pixel) / CELL_MM;
         (cells.round() as usize).max(1)
     };
     [side(view.part.height), side(view.part.width)]

@@ -3,9 +3,11 @@
 use std::time::Duration;
 
 use crate::comparison::{ChoiceComparison, Shift, StageComparison, larger};
-use crate::frame::Rect;
+use crate::detector::view;
 use crate::graph::StageTime;
 use crate::precision::Precision;
+use crate::rect::Rect;
+use crate::scale::Scale;
 
 #[cfg(doc)]
 use crate::detector::{Config, Scene};
@@ -28,12 +30,13 @@ pub struct Detection {
     pub bbox: [f32; 4],
     /// Centre of the box on the gel in millimetres, from the gel's middle: x right, y down.
     pub center_mm: [f32; 2],
-    /// Standard deviation of that centre along x and y; `None` if the weights do not tell.
+    /// Standard deviation of that centre along x and y; `None` if the weights do not tell, or not for gel
+    /// at this scale ([`Config::input_size`]).
     pub center_std_mm: Option<[f32; 2]>,
     /// Direction in which a hook's barb points, from its root to its tip: degrees in −180 to 180, 0 along
     /// x (right), 90 along y (down). `None` for a class without direction, or if the weights do not tell.
     pub yaw_deg: Option<f32>,
-    /// Standard deviation of that direction.
+    /// Standard deviation of that direction; `None` as that of the centre.
     pub yaw_std_deg: Option<f32>,
     /// Probability that the picture's edge does not cut the snap; `None` if the weights do not tell.
     pub whole: Option<f32>,
@@ -49,10 +52,16 @@ pub struct Detections {
     pub width: u32,
     /// Height of the picture in pixels.
     pub height: u32,
-    /// The part of the picture that shows the gel, or that was asked for: all that the network may see.
+    /// The part of the picture that shows the gel, from whose middle positions are.
     pub gel: Rect,
-    /// Millimetres on the gel for a pixel of the picture: the sensor's, or what was assumed.
-    pub mm_per_pixel: f32,
+    /// Whether nobody said so: all of the picture, or as in the paper's frames.
+    #[cfg_attr(feature = "serde", serde(default))]
+    pub gel_assumed: bool,
+    /// All that the network may see: the gel, or what a crop shows of it.
+    pub part: Rect,
+    /// Millimetres on the gel for a pixel of the picture, and how that is known.
+    #[cfg_attr(feature = "serde", serde(flatten))]
+    pub scale: Scale,
     /// How a GPU stored maps and weights: f32 also where [`Config::precision`] says f16, but the picture
     /// overflowed that.
     pub precision: Precision,
@@ -81,6 +90,15 @@ pub struct Detections {
     /// Time from picture to detections; serialised as `wall_ms`.
     #[cfg_attr(feature = "serde", serde(rename = "wall_ms", with = "crate::milliseconds"))]
     pub wall: Duration,
+}
+
+impl Detections {
+    /// What was assumed of the picture's scale, and of which part of it is gel, in a line; `None` where all
+    /// was stated. Where that is wrong, millimetres are, and snaps may be missed or taken for others.
+    pub fn assumption(&self) -> Option<String> {
+        let gel = self.gel_assumed.then_some(self.gel);
+        view::assumption([self.width, self.height], gel, self.scale)
+    }
 }
 
 /// What one picture gives on a device and in the f64 reference.
@@ -151,7 +169,9 @@ mod tests {
             width: 1,
             height: 1,
             gel: Rect { x: 0, y: 0, width: 1, height: 1 },
-            mm_per_pixel: 1.0,
+            gel_assumed: false,
+            part: Rect { x: 0, y: 0, width: 1, height: 1 },
+            scale: Scale::stated(1.0),
             precision: Precision::F32,
             contact: None,
             regions: None,

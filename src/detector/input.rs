@@ -5,14 +5,18 @@ use std::time::Instant;
 use crate::comparison::Values;
 use crate::cpu::Crop;
 use crate::detector::regions::{self, Found, Window};
+use crate::detector::view::View;
 use crate::detector::{Detection, Detections};
 use crate::error::{Error, Result};
-use crate::frame::{Frame, Rect};
+use crate::frame::Frame;
 use crate::graph::{StageTime, TensorId};
 use crate::model::{ModelConfig, Network};
 use crate::precision::Precision;
-use crate::sensor::View;
+use crate::rect::Rect;
 use crate::tensor::Value;
+
+/// Deviations hold where the input is at the scale that they were fitted at, within this share.
+const SAME_SCALE: f64 = 0.05;
 
 /// How large the network's input is for a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,7 +37,7 @@ impl Geometry {
         let part = [view.part.width, view.part.height].map(f64::from);
         let scale = match longer {
             Some(pixels) => pixels as f64 / part[0].max(part[1]),
-            None => f64::from(model.pixels_per_mm) * f64::from(view.mm_per_pixel),
+            None => f64::from(model.pixels_per_mm) * f64::from(view.scale.mm_per_pixel),
         };
         let resized = part.map(|side| ((side * scale).round() as usize).max(1));
         // A side past all numbers stays as it is, and is refused.
@@ -48,7 +52,7 @@ impl Geometry {
                 return Err(Error::param("detect", "input_size", expected, side));
             }
             let (scale, most) = (model.pixels_per_mm, ModelConfig::MAX_INPUT);
-            let field = part[0].max(part[1]) * f64::from(view.mm_per_pixel);
+            let field = part[0].max(part[1]) * f64::from(view.scale.mm_per_pixel);
             let message = format!(
                 "expected a field of at most {:.3} mm along its longer side, which is {most} pixels at the \
                  weights' {scale} a millimetre, got {field:.3} mm",
@@ -137,6 +141,12 @@ impl Input {
         std::array::from_fn(|axis| part[axis] as f32 / self.geometry.resized[axis] as f32)
     }
 
+    /// Whether the network sees the gel at its own scale, at which the deviations that it states hold.
+    fn is_at_own_scale(&self, model: &ModelConfig) -> bool {
+        let own = f64::from(model.pixels_per_mm) * f64::from(self.view.scale.mm_per_pixel);
+        self.scale().iter().all(|scale| (1.0 / (own * f64::from(*scale)) - 1.0).abs() <= SAME_SCALE)
+    }
+
     /// What the network's outputs say of the picture.
     pub fn detections(
         &self,
@@ -158,8 +168,10 @@ impl Input {
             detections,
             width,
             height,
-            gel: self.view.part,
-            mm_per_pixel: self.view.mm_per_pixel,
+            gel: self.view.gel,
+            gel_assumed: self.view.gel_assumed,
+            part: self.view.part,
+            scale: self.view.scale,
             precision: Precision::F32,
             contact: None,
             regions: None,
@@ -203,6 +215,7 @@ impl Input {
         let count = count_of(network, values, network.count)? as usize;
         let config = &network.config;
         let scale = self.scale();
+        let states = self.is_at_own_scale(config);
         let origin = [self.view.part.x, self.view.part.y].map(|at| at as f32);
         let edge = self.geometry.resized.map(|side| side as f32);
         let corner = [window.x, window.y].map(|at| at as f32);
@@ -230,9 +243,9 @@ impl Input {
                     score: *score,
                     bbox,
                     center_mm: self.view.place_mm(center),
-                    center_std_mm: pose.map(|p| [p[2], p[3]]),
+                    center_std_mm: pose.filter(|_| states).map(|p| [p[2], p[3]]),
                     yaw_deg: direction.map(|p| p[0]),
-                    yaw_std_deg: direction.map(|p| p[1]),
+                    yaw_std_deg: direction.filter(|_| states).map(|p| p[1]),
                     whole: pose.map(|p| p[4]),
                 };
                 let cut = regions::is_cut(inside, window, self.geometry.size);

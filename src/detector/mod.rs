@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `config` | how to build a detector |
 //! | `detection` | what it finds |
+//! | `view` | what a frame shows: its gel, its scale, what of it the network sees |
 //! | `input` | from a frame to what the network takes, and back |
 //! | `look` | the network over pictures or their parts, those of a size together |
 //! | `many` | many pictures, in order |
@@ -28,6 +29,7 @@ mod regions;
 mod runner;
 mod scene;
 mod stream;
+mod view;
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -36,7 +38,7 @@ use std::time::{Duration, Instant};
 
 use crate::comparison::{self, StageComparison, Values};
 use crate::error::{Error, Result};
-use crate::frame::{Frame, Rect};
+use crate::frame::Frame;
 use crate::gpu::{Deadline, Gpu};
 use crate::graph::{StageTime, TensorId};
 use crate::lock::lock;
@@ -45,7 +47,7 @@ use crate::model::ModelConfig;
 use crate::pixel_format::PixelFormat;
 use crate::precision::Precision;
 use crate::profile::{self, CommandTime};
-use crate::sensor::{self, Sensor, View};
+use crate::scale::Scale;
 use crate::tensor::Value;
 use crate::tune::{self, Tuned};
 
@@ -57,6 +59,7 @@ use input::{Geometry, Input};
 use look::Sight;
 pub use scene::Scene;
 pub use stream::{MOST_REUSED, Stream};
+use view::{Known, View};
 
 /// Tensors of every stage, by the PyTorch reference's names.
 pub type Stages = Vec<(String, Value)>;
@@ -121,14 +124,23 @@ impl GpuDetector {
         if config.keep_stages {
             config.scene = Scene::FULL;
         }
+        if let Some(sensor) = &config.sensor {
+            sensor.check()?;
+            config.reference = config.reference.or_else(|| sensor.reference_frame.clone());
+            if let (Some(file), None) = (&sensor.reference, &config.reference) {
+                let message = format!(
+                    "reference: expected its frame, from `Sensor::open` or `Config::reference`; got its \
+                     name alone, {}",
+                    file.display()
+                );
+                return Err(Error::Sensor { sensor: sensor.name.clone(), message });
+            }
+        }
         if let Some(reference) = &config.reference {
             reference.check()?;
         }
-        if let Some(sensor) = &config.sensor {
-            sensor.check()?;
-        }
-        if let Some(scale) = config.mm_per_pixel {
-            Sensor::of_scale(scale).check()?;
+        if let Some(mm) = config.mm_per_pixel {
+            Scale::stated(mm).check()?;
         }
         let engines = Engines::open(&config, gpu).await?;
         let model = engines.model().clone();
@@ -146,15 +158,15 @@ impl GpuDetector {
     fn usual_frame(&self) -> Option<[u32; 2]> {
         match (&self.config.sensor, self.config.mm_per_pixel) {
             (Some(sensor), None) => sensor.frame,
-            (None, None) => Some([1000, 1000]),
+            (None, None) if !self.config.strict_scale => Some([1000, 1000]),
             // How much gel they show depends on their size.
-            (_, Some(_)) => None,
+            _ => None,
         }
     }
 
     /// Builds what frames of this width and height need.
     fn prepare(&self, frame: [u32; 2]) -> Result<()> {
-        let view = self.view(frame, None)?;
+        let view = view::view(frame, self.known())?;
         let geometry = Geometry::new(&view, &self.model, self.config.input_size)?;
         let engines = self.engines();
         let (scene, size) = (&self.config.scene, geometry.size);
@@ -171,40 +183,23 @@ impl GpuDetector {
         Ok(())
     }
 
-    /// What a frame of this width and height shows, or its part `crop`.
-    fn view(&self, frame: [u32; 2], crop: Option<Rect>) -> Result<View> {
-        match (&self.config.sensor, self.config.mm_per_pixel) {
-            (Some(sensor), stated) => sensor.view_at(frame, crop, stated),
-            (None, Some(scale)) => Sensor::of_scale(scale).view(frame, crop),
-            (None, None) => Ok(sensor::assumed(frame, crop)),
-        }
+    /// What is known of frames before they come.
+    fn known(&self) -> Known<'_> {
+        let Config { sensor, mm_per_pixel, gel, strict_scale, .. } = &self.config;
+        let scale = mm_per_pixel.map(Scale::stated);
+        Known { sensor: sensor.as_ref(), scale, gel: *gel, crop: None, strict: *strict_scale }
     }
 
     /// Checks a frame and brings it to what the network takes.
     fn input(&self, frame: &Frame) -> Result<Input> {
         let start = Instant::now();
         frame.check()?;
-        let size = [frame.width, frame.height];
-        let view = match frame.mm_per_pixel {
-            Some(scale) => {
-                let sensor = Sensor::of_scale(scale);
-                sensor.check()?;
-                sensor.view(size, frame.crop)?
-            }
-            None => self.view(size, frame.crop)?,
-        };
+        let known = self.known();
+        let (scale, gel) = (frame.scale.or(known.scale), frame.gel.or(known.gel));
+        let known = Known { scale, gel, crop: frame.crop, ..known };
+        let view = view::view([frame.width, frame.height], known)?;
         let geometry = Geometry::new(&view, &self.model, self.config.input_size)?;
         Input::new(start, frame, view, geometry)
-    }
-
-    /// What is assumed of frames of this width and height that cannot be the paper's sensor's, in a line:
-    /// if neither [`Config::sensor`] nor [`Config::mm_per_pixel`] says more, their millimetres may be wrong,
-    /// and snaps may be missed because of it.
-    pub fn assumption(&self, width: u32, height: u32) -> Option<String> {
-        match (&self.config.sensor, self.config.mm_per_pixel) {
-            (None, None) => sensor::assumption([width, height]),
-            _ => None,
-        }
     }
 
     /// How maps and weights are stored: [`Config::precision`], but on the CPU. A picture that overflows
@@ -294,14 +289,15 @@ impl GpuDetector {
         self.detect_frame(&Frame::from(picture))
     }
 
-    /// Finds the snaps in a picture in memory. The network sees what [`Config::sensor`] says is gel;
-    /// without a sensor, a frame that cannot be the paper's, or its crop, is taken for gel all over, 40 mm
-    /// along its shorter side, of which the middle 60 mm at most along the longer one are seen.
+    /// Finds the snaps in a picture in memory. [`crate::scale`] says which part of it is taken for gel, and at
+    /// which scale. Of a frame whose scale nobody states the middle 60 mm at most along the longer side are
+    /// seen, and [`Detections::assumption`] says what was assumed.
     ///
     /// # Errors
     /// [`Error::Picture`] for an empty picture, or one that shows more gel than the weights' input holds,
-    /// [`Error::Param`] for a frame whose buffer does not hold what it says, [`Error::Sensor`] for one that cannot be the sensor's, [`Error::Capacity`]
-    /// for one past the device's largest binding,
+    /// [`Error::Param`] for a frame whose buffer does not hold what it says, [`Error::Sensor`] for one that
+    /// cannot be the sensor's, [`Error::Scale`] for a scale or gel that it cannot have, or for an assumed scale
+    /// with [`Config::strict_scale`], [`Error::Capacity`] for one past the device's largest binding,
     /// [`Error::DeviceLost`], [`Error::Timeout`] or [`Error::Driver`] from the device,
     /// [`Error::NotFinite`] if the network overflowed.
     pub fn detect_frame(&self, frame: &Frame) -> Result<Detections> {
@@ -420,7 +416,7 @@ impl GpuDetector {
         let (size, sensor) = ([frame.width, frame.height], self.config.sensor.as_ref());
         let part = match view.frame == size {
             true => Some(view.part),
-            false => sensor.and_then(|sensor| sensor.same_part(view, size)),
+            false => sensor.and_then(|sensor| sensor.same_part(view.gel, view.part, size)),
         };
         let Some(part) = part else { return Ok(None) };
         let mut known = lock(&self.reference);
@@ -513,7 +509,7 @@ impl GpuDetector {
             reference_time: reference.time,
             tensors,
         });
-        let mm_per_pixel = f64::from(input.view.mm_per_pixel);
+        let mm_per_pixel = f64::from(input.view.scale.mm_per_pixel);
         Ok(Comparison {
             stages: stages.collect(),
             proposals: outcome.proposals,
@@ -613,6 +609,8 @@ impl GpuDetector {
 mod tests {
     use super::*;
     #[cfg(feature = "serde")]
+    use crate::{rect::Rect, scale::Origin};
+    #[cfg(feature = "serde")]
     use std::time::Duration;
 
     /// The names that `smr-gpu detect --json` prints, and all of it back.
@@ -636,7 +634,9 @@ mod tests {
             width: 640,
             height: 480,
             gel: Rect { x: 80, y: 0, width: 480, height: 480 },
-            mm_per_pixel: 0.0625,
+            gel_assumed: false,
+            part: Rect { x: 80, y: 0, width: 400, height: 480 },
+            scale: Scale { mm_per_pixel: 0.0625, from: Origin::Assumed },
             precision: Precision::F16,
             contact: Some(true),
             regions: Some(vec![Rect { x: 1, y: 2, width: 3, height: 4 }]),
@@ -655,7 +655,9 @@ mod tests {
                 "center_std_mm": [0.125, 0.0625], "yaw_deg": null, "yaw_std_deg": null, "whole": 0.5
             }],
             "width": 640, "height": 480, "gel": {"x": 80, "y": 0, "width": 480, "height": 480},
-            "mm_per_pixel": 0.0625, "precision": "f16", "proposals": 7,
+            "part": {"x": 80, "y": 0, "width": 400, "height": 480},
+            "gel_assumed": false, "mm_per_pixel": 0.0625, "scale_from": "assumed",
+            "precision": "f16", "proposals": 7,
             "contact": true, "regions": [{"x": 1, "y": 2, "width": 3, "height": 4}],
             "without_deepest": true, "looked_again": false, "reused": false,
             "stages": [{"stage": "input", "ms": 1.5}],

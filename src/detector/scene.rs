@@ -2,8 +2,8 @@
 
 use crate::detector::Detections;
 use crate::error::{Error, Result};
-use crate::frame::Rect;
 use crate::model::Wanted;
+use crate::rect::Rect;
 
 /// Height and width of the paper's input.
 const PAPER: [usize; 2] = [320; 2];
@@ -80,7 +80,7 @@ impl Scene {
         }
         let mut left = Vec::new();
         if let Some(regions) = &found.regions {
-            let share = 1.0 - area(regions) / area(&[found.gel]);
+            let share = 1.0 - area(regions) / area(&[found.part]);
             let margin = self.margin_mm;
             left.push(format!("{share:.2} of the gel: no contact within {margin} mm of it"));
         }

@@ -3,11 +3,11 @@
 use crate::detector::engines::Engines;
 use crate::detector::input::Input;
 use crate::detector::look::Sight;
+use crate::detector::view::View;
 use crate::detector::{Detections, GpuDetector};
 use crate::error::Result;
 use crate::frame::Frame;
 use crate::gpu::Deadline;
-use crate::sensor::View;
 use crate::tensor::Value;
 
 /// How often in a row a frame's detections may be kept.

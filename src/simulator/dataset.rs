@@ -36,6 +36,7 @@ use super::render::{Rendered, Renderer, Request};
 use super::scene::Mix;
 use super::snaps::Kind;
 use crate::files;
+use crate::rect::Rect;
 use crate::sensor::Sensor;
 
 /// Least number of pictures that a worker takes, to make its plans and buffers rarely.
@@ -472,6 +473,8 @@ struct CocoImage {
     /// As text: 64 bits do not fit a JSON number everywhere.
     scene_seed: String,
     mm_per_pixel: f64,
+    /// Of a given sensor; a housing that was drawn is not told.
+    gel: Rect,
     conditions: Conditions,
 }
 
@@ -527,6 +530,13 @@ fn write_annotations(settings: &Settings, labels: &Path) -> Result<usize, Error>
             height: sidecar.frame.height,
             scene_seed: sidecar.scene_seed.to_string(),
             mm_per_pixel: sidecar.frame.mm_per_pixel,
+            gel: match &settings.request.sensor {
+                Some(given) => given.gel(),
+                None => {
+                    let [width, height] = [sidecar.frame.width, sidecar.frame.height];
+                    Rect { x: 0, y: 0, width: width as u32, height: height as u32 }
+                }
+            },
             conditions: sidecar.conditions,
         });
         for snap in sidecar.snaps {

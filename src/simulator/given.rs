@@ -14,8 +14,10 @@ use super::frame::{Frame, SIDE_PX};
 use super::label::PixelBox;
 use super::look::{Flat, Housing, Light, Look};
 use super::optics::{Channel, Shading};
+use crate::model::PAPER_MM;
 use crate::picture;
-use crate::sensor::Sensor;
+use crate::rect::Rect;
+use crate::sensor::{Sensed, Sensor};
 
 /// Levels of a housing that nothing shows.
 const DARK: f32 = 8.0;
@@ -25,6 +27,7 @@ const DARK: f32 = 8.0;
 pub struct Given {
     sensor: Sensor,
     frame: Frame,
+    gel: Rect,
     window: PixelBox,
     shading: Option<Shading>,
     flat: Option<Flat>,
@@ -41,19 +44,22 @@ impl Given {
         sensor.check()?;
         // A data set that is continued reads it again, and wants the same.
         sensor.light = sensor.light.map(|light| light.rounded());
+        sensor.reference_frame = None;
         let fail = |message: String| {
             Error::Sensor(crate::Error::Sensor { sensor: sensor.name.clone(), message })
         };
         let Some([width, height]) = sensor.frame else {
             return Err(fail("frame: expected one to draw, got none".into()));
         };
-        let view = sensor.view([width, height], None)?;
-        let gel = view.part;
+        let Sensed { gel, scale, .. } = sensor.sense([width, height])?;
+        // The detector assumes the same of a sensor without a scale.
+        let assumed = PAPER_MM / gel.width.min(gel.height) as f32;
+        let mm_per_pixel = scale.map_or(assumed, |scale| scale.mm_per_pixel);
         let frame = Frame {
             width: width as usize,
             height: height as usize,
             // As many digits as single precision has.
-            mm_per_pixel: (f64::from(view.mm_per_pixel) * 1e7).round() / 1e7,
+            mm_per_pixel: (f64::from(mm_per_pixel) * 1e7).round() / 1e7,
         };
         if !frame.is_drawable() {
             let [least, most] = SIDE_PX;
@@ -74,12 +80,17 @@ impl Given {
             Some(path) => Some(read_flat(path, [width, height])?),
             None => None,
         };
-        Ok(Self { sensor, frame, window, shading, flat })
+        Ok(Self { sensor, frame, gel, window, shading, flat })
     }
 
     /// The sensor.
     pub fn sensor(&self) -> &Sensor {
         &self.sensor
+    }
+
+    /// The part of its frame that shows the gel.
+    pub fn gel(&self) -> Rect {
+        self.gel
     }
 
     /// The frame that it takes.

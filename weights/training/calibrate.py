@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 import weightfile
-from data import network_input, normalise, picture_path, read_coco, read_picture
+from data import network_input, normalise, read_coco
 from metrics import calibration_error, right
 from model import SmrNet, classify, survivors
 
@@ -38,8 +38,7 @@ class Looks:
         self.config, self.rows = model.config, []
         for folder in folders:
             for entry in read_coco(folder)[:limit]:
-                frame = read_picture(picture_path(folder, entry.name))
-                pixels, (x, y) = network_input(frame, self.config.pixels_per_mm * entry.mm_per_pixel)
+                pixels, (x, y) = network_input(entry.pixels(), self.config.pixels_per_mm * entry.mm_per_pixel)
                 image = normalise(pixels, self.config.mean, self.config.std)[None].contiguous(memory_format=torch.channels_last)
                 truth = {name: torch.from_numpy(getattr(entry.snaps, name)) for name in ("boxes", "labels", "yaw", "whole")}
                 truth["boxes"] = truth["boxes"] / torch.tensor([x, y, x, y])

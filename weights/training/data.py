@@ -5,6 +5,7 @@ A folder holds annotations.json and the pictures it names.
 
 import json
 import math
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from torch import Tensor
 
 CLASSES = ("A", "B")
 DIRECTED = ("A",)
-PAPER_MM_PER_PIXEL = 0.04
+PAPER_MM = 40.0  # along the gel's shorter side, of a picture whose label says nothing
 
 
 def resize(pixels: Tensor, size: tuple[int, int]) -> Tensor:
@@ -79,37 +80,69 @@ class Snaps:
 
 @dataclass
 class Entry:
-    """One picture of a folder, its boxes in frame pixels."""
+    """One picture of a folder; all but `frame` is of its gel alone, boxes too."""
 
-    name: str
+    path: Path
+    frame: tuple[int, int]  # height, width
+    corner: tuple[int, int]  # x, y of the gel
     size: tuple[int, int]  # height, width
     mm_per_pixel: float
     conditions: dict
     snaps: Snaps
 
+    def pixels(self) -> np.ndarray:
+        """[H, W, 3] of the gel, in uint8."""
+        picture = read_picture(self.path)
+        if picture.shape[:2] != self.frame:
+            raise SystemExit(f"{self.path}: expected {self.frame} pixels (height, width), got {picture.shape[:2]}")
+        (x, y), (height, width) = self.corner, self.size
+        return picture[y : y + height, x : x + width]
+
+
+def stated(image: dict, sizes: set[tuple[int, int]]) -> tuple[float, list[int]]:
+    """A picture's millimetres a pixel and its gel (x, y, width, height), by the program's rules; what is assumed is said once a size."""
+    size = width, height = image["width"], image["height"]
+    mm = image.get("mm_per_pixel")
+    times = height / 1200
+    papers = abs(width - 1920 * times) <= 0.01 * width and (mm is None or abs(mm * times / 0.04 - 1) <= 0.25)
+    gel = [0, 0, *size]
+    if image.get("gel"):
+        gel = [image["gel"][side] for side in ("x", "y", "width", "height")]
+    elif papers:  # the middle square of the paper's frame
+        left, top, right, bottom = (round(edge * times) for edge in (460, 100, 1460, 1100))
+        gel = [left, top, right - left, bottom - top]
+    if mm is None:
+        mm = PAPER_MM / min(gel[2:])
+        if size not in sizes:
+            print(f"{image['file_name']}: no mm_per_pixel in its label, {mm:.4f} assumed for {size[0]} x {size[1]} pixels", file=sys.stderr)
+            sizes.add(size)
+    return mm, gel
+
 
 def read_coco(folder: Path) -> list[Entry]:
-    """A folder's pictures in the order of its file; without a stated scale a frame is the paper's."""
+    """A folder's pictures in the order of its file."""
     coco = json.loads((folder / "annotations.json").read_text())
     label = {c["id"]: CLASSES.index(c["name"].upper()) + 1 for c in coco["categories"] if c["name"].upper() in CLASSES}
     found: dict[int, list] = {image["id"]: [] for image in coco["images"]}
     for annotation in coco["annotations"]:
         if annotation["category_id"] in label and not annotation.get("iscrowd", 0):
             found[annotation["image_id"]].append(annotation)
-    entries = []
+    entries, sizes = [], set()
     for image in coco["images"]:
+        mm, (left, top, width, height) = stated(image, sizes)
         rows = found[image["id"]]
         boxes = np.array([r["bbox"] for r in rows], np.float32).reshape(-1, 4)
         boxes[:, 2:] += boxes[:, :2]
+        boxes = (boxes - [left, top] * 2).clip(0, [width, height] * 2).astype(np.float32)
         labels = np.array([label[r["category_id"]] for r in rows], np.int64)
         degrees = [r.get("yaw_deg") if CLASSES[c - 1] in DIRECTED else None for r, c in zip(rows, labels)]
         yaw = np.radians(np.array([math.nan if d is None else d for d in degrees], np.float32))
-        size = (image["height"], image["width"])
+        size, frame = (height, width), (image["height"], image["width"])
         # Old folders do not say; there a box at the edge belongs to a cut part.
         inside = (boxes > 1).all(axis=1) & (boxes < np.array([*size[::-1], *size[::-1]]) - 1).all(axis=1)
         whole = np.array([r.get("whole", bool(i)) for r, i in zip(rows, inside)], bool)
-        mm = image.get("mm_per_pixel") or PAPER_MM_PER_PIXEL
-        entries.append(Entry(image["file_name"], size, mm, image.get("conditions") or {}, Snaps(boxes, labels, yaw, whole)))
+        path = picture_path(folder, image["file_name"])
+        entries.append(Entry(path, frame, (left, top), size, mm, image.get("conditions") or {}, Snaps(boxes, labels, yaw, whole)))
     return entries
 
 

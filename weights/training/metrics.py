@@ -10,18 +10,17 @@ from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 from torchvision.ops import box_iou
 
-from data import CLASSES, network_input, normalise, picture_path, read_coco, read_picture
+from data import CLASSES, network_input, normalise, read_coco
 from model import SmrNet
 
 
 @torch.no_grad()
 def detect_folder(model: SmrNet, folder: Path, limit: int | None = None, device: str = "cpu", scales: int = 3) -> tuple[list, list]:
-    """Truth and detections of each picture, in frame pixels; detections down to a score of 0.05, from the first `scales`."""
+    """Truth and detections of each picture, in pixels of its gel; detections down to a score of 0.05, from the first `scales`."""
     config = model.config
     truths, detections = [], []
     for entry in read_coco(folder)[:limit]:
-        frame = read_picture(picture_path(folder, entry.name))
-        pixels, (x, y) = network_input(frame, config.pixels_per_mm * entry.mm_per_pixel)
+        pixels, (x, y) = network_input(entry.pixels(), config.pixels_per_mm * entry.mm_per_pixel)
         image = normalise(pixels, config.mean, config.std)[None].to(device, memory_format=torch.channels_last)
         result = {k: v.cpu() for k, v in model.detect(image, scales=scales)[0].items()}
         result["boxes"] = result["boxes"] * torch.tensor([x, y, x, y])

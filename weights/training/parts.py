@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from augment import jpeg
-from data import picture_path, read_coco, read_picture, scaled
+from data import read_coco, scaled
 
 SNAPS = 8  # of one picture, at most; a picture with more is left out
 # Training's scale varies about the network's by this factor.
@@ -51,11 +51,7 @@ def pack(folder: Path, pixels_per_mm: float, seed: int) -> Part:
         wide = (boxes[:, 2:] - boxes[:, :2]).min(axis=1, initial=np.inf) >= 2
         if wide.sum() > SNAPS:
             continue
-        path = picture_path(folder, entry.name)
-        picture = read_picture(path)
-        if picture.shape[:2] != entry.size:
-            raise SystemExit(f"{path}: expected {entry.size} pixels (height, width), got {picture.shape[:2]}")
-        small = Image.fromarray(picture).resize((w, h), Image.Resampling.BILINEAR)
+        small = Image.fromarray(entry.pixels()).resize((w, h), Image.Resampling.BILINEAR)
         table = np.zeros((SNAPS, 7), np.float32)
         found = np.column_stack([boxes, entry.snaps.labels, entry.snaps.yaw, entry.snaps.whole])[wide]
         table[: len(found)] = found
@@ -81,7 +77,7 @@ def cached(folder: Path, pixels_per_mm: float, cache: Path) -> Part:
 def content_key(folder: Path, pixels_per_mm: float) -> str:
     """A digest of what a part is made from: the scale, the labels, and the bytes of each picture in their order."""
     whole = hashlib.blake2b(f"{pixels_per_mm}".encode(), digest_size=8)
-    for file in (folder / "annotations.json", *(picture_path(folder, entry.name) for entry in read_coco(folder))):
+    for file in (folder / "annotations.json", *(entry.path for entry in read_coco(folder))):
         with open(file, "rb") as opened:
             whole.update(hashlib.file_digest(opened, "blake2b").digest())
     return whole.hexdigest()

@@ -209,20 +209,28 @@ def labels() -> None:
         images = [
             {"id": 0, "file_name": "0.png", "width": 1000, "height": 1000},
             {"id": 1, "file_name": "1.png", "width": 320, "height": 240, "mm_per_pixel": 0.0634, "conditions": {"wall": True}},
+            {"id": 2, "file_name": "2.png", "width": 1920, "height": 1200, "mm_per_pixel": 0.04, "gel": {"x": 400, "y": 100, "width": 800, "height": 900}},
+            {"id": 3, "file_name": "3.png", "width": 1920, "height": 1200, "mm_per_pixel": 0.04},
+            {"id": 4, "file_name": "4.png", "width": 1280, "height": 800, "mm_per_pixel": 0.04},
+            {"id": 5, "file_name": "5.png", "width": 320, "height": 240},
         ]
         annotations = [
             {"image_id": 0, "category_id": 1, "bbox": [100, 200, 50, 60], "yaw_deg": 90.0},
             {"image_id": 0, "category_id": 2, "bbox": [0, 200, 50, 60], "yaw_deg": 90.0},  # a stud has no direction
             {"image_id": 1, "category_id": 1, "bbox": [10, 20, 30, 40], "yaw_deg": None, "whole": False},
+            {"image_id": 2, "category_id": 1, "bbox": [500, 150, 30, 40], "yaw_deg": None},
         ]
         categories = [{"id": 1, "name": "A"}, {"id": 2, "name": "B"}]
         (Path(folder) / "annotations.json").write_text(json.dumps({"images": images, "annotations": annotations, "categories": categories}))
-        old, new = read_coco(Path(folder))
+        old, new, raw, papers, other, unstated = read_coco(Path(folder))
+        assert (raw.corner, raw.size, raw.snaps.boxes.tolist()) == ((400, 100), (900, 800), [[100, 50, 130, 90]])
+        assert (papers.corner, papers.size, other.size) == ((460, 100), (1000, 1000), (800, 1280))
+        assert unstated.mm_per_pixel == 40 / 240
         assert (old.mm_per_pixel, old.conditions, new.mm_per_pixel, new.size, new.conditions) == (0.04, {}, 0.0634, (240, 320), {"wall": True})
         assert old.snaps.boxes.tolist() == [[100, 200, 150, 260], [0, 200, 50, 260]] and old.snaps.whole.tolist() == [True, False]
         assert abs(old.snaps.yaw[0] - math.pi / 2) < 1e-6 and np.isnan(old.snaps.yaw[1])
         assert np.isnan(new.snaps.yaw[0]) and new.snaps.whole.tolist() == [False]
-    print("ok labels: 2 pictures")
+    print("ok labels: 6 pictures")
 
 
 def pose_decoding() -> None:

@@ -58,8 +58,8 @@ pub(super) struct Args {
     #[arg(long)]
     paper: bool,
 
-    /// Take no notice of the scale that the labels state for a picture, as with --sensor and
-    /// --mm-per-pixel.
+    /// Ignore the scale and the gel that the labels state for a picture, as with --sensor; --mm-per-pixel
+    /// and --gel replace theirs.
     #[arg(long)]
     unstated: bool,
 
@@ -92,10 +92,19 @@ pub(super) struct Labelled {
     pub snaps: Vec<Snap>,
 }
 
-impl Labelled {
-    /// The scale that its label states, unless that is `unstated`.
-    fn stated_scale(&self, unstated: bool) -> Option<f32> {
-        self.picture.mm_per_pixel.filter(|_| !unstated)
+/// What labels state of pictures that counts: what the options say goes before.
+#[derive(Clone, Copy)]
+struct Stated {
+    scale: bool,
+    gel: bool,
+}
+
+impl Stated {
+    fn of<'a>(self, labelled: &Labelled, frame: Frame<'a>) -> Frame<'a> {
+        let mut frame = labelled.picture.state(frame);
+        frame.scale = frame.scale.filter(|_| self.scale);
+        frame.gel = frame.gel.filter(|_| self.gel);
+        frame
     }
 }
 
@@ -203,10 +212,13 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let progress = progress.with_style(style());
     let mut together = Set::named(TOGETHER);
     let mut assumed = Assumed::default();
-    // What the options say of the scale goes before what labels say.
-    let unstated = args.unstated || args.detector.network.states_scale();
+    let network = &args.detector.network;
+    let stated = Stated {
+        scale: !(args.unstated || network.sensor.is_some() || network.mm_per_pixel.is_some()),
+        gel: !(args.unstated || network.sensor.is_some() || network.gel.is_some()),
+    };
     for (number, (name, pictures)) in labels.iter().enumerate() {
-        let set = look_at(&detector, name, pictures, unstated, &mut assumed, &progress)?;
+        let set = look_at(&detector, name, pictures, stated, &mut assumed, &progress)?;
         if let Some(gallery) = &mut gallery {
             let looked_at = set.places.iter().map(|place| &pictures[*place]).zip(&set.seen);
             let sheet = sheet::worst(&looked_at.collect::<Vec<_>>(), &classes, args.conf);
@@ -259,17 +271,15 @@ fn look_at(
     detector: &GpuDetector,
     name: &str,
     pictures: &[Labelled],
-    unstated: bool,
+    stated: Stated,
     assumed: &mut Assumed,
     progress: &ProgressBar,
 ) -> Result<Set, Failure> {
     let mut set = Set::named(name);
     for (place, labelled) in pictures.iter().enumerate() {
-        match look(detector, labelled, unstated) {
+        match look(detector, labelled, stated) {
             Ok(found) => {
-                if labelled.stated_scale(unstated).is_none()
-                    && let Some(what) = assumed.remark(detector, &labelled.source, &found)
-                {
+                for what in assumed.remarks(&labelled.source, &found) {
                     progress.suspend(|| tell(what));
                 }
                 set.seconds += found.wall.as_secs_f64();
@@ -342,15 +352,14 @@ pub(super) fn read_labels(
 fn look(
     detector: &GpuDetector,
     labelled: &Labelled,
-    unstated: bool,
+    stated: Stated,
 ) -> Result<Detections, Failure> {
     let source = &labelled.source;
     let failed = |message| Failure::new(Exit::Inputs, format!("{source}: {message}"));
     let picture = picture::read(source).map_err(failed)?;
     let checked = labelled.picture.check_size(picture.width(), picture.height());
     checked.map_err(|e| failed(e.to_string()))?;
-    let mut frame = Frame::from(&picture);
-    frame.mm_per_pixel = labelled.stated_scale(unstated);
+    let frame = stated.of(labelled, Frame::from(&picture));
     detector.detect_frame(&frame).map_err(|e| Failure::about(source, &e))
 }
 
@@ -358,7 +367,7 @@ fn look(
 pub(super) fn seen(labelled: &Labelled, found: &Detections) -> Seen {
     let mut conditions = labelled.picture.conditions.clone();
     if let Some(mm_per_pixel) = labelled.picture.mm_per_pixel.map(f64::from) {
-        let longer = f64::from(found.width.max(found.height));
+        let longer = f64::from(found.gel.width.max(found.gel.height));
         conditions.insert("pixels_per_mm".into(), Attribute::Number(1.0 / mm_per_pixel));
         conditions.insert("field_mm".into(), Attribute::Number(longer * mm_per_pixel));
     }
@@ -372,7 +381,7 @@ pub(super) fn seen(labelled: &Labelled, found: &Detections) -> Seen {
     Seen {
         snaps: labelled.snaps.clone(),
         found: boxes.collect(),
-        mm_per_pixel: found.mm_per_pixel.into(),
+        mm_per_pixel: found.scale.mm_per_pixel.into(),
         conditions,
     }
 }

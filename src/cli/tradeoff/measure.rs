@@ -239,9 +239,7 @@ fn build(setup: &Setup, keep_stages: bool) -> Result<GpuDetector, Failure> {
 }
 
 fn frame<'a>(labelled: &Labelled, picture: &'a DynamicImage) -> Frame<'a> {
-    let mut frame = Frame::from(picture);
-    frame.mm_per_pixel = labelled.picture.mm_per_pixel;
-    frame
+    labelled.picture.state(Frame::from(picture))
 }
 
 fn look(

@@ -232,7 +232,7 @@ impl Sensor {
     pub fn open(path: &Path) -> Result<Self> {
         let fail = |message: String| Error::Sensor { sensor: path.display().to_string(), message };
         let bytes = files::read(path, MAX_FILE).map_err(|e| fail(e.to_string()))?;
-        let text = std::str::from_utf8(&bytes).map_err(|e| fail(e.to_string()))?;
+        let text = files::text(&bytes).map_err(|e| fail(e.to_string()))?;
         let mut sensor = Self::parse(text).map_err(|e| match e {
             Error::Sensor { message, .. } => fail(message),
             other => other,

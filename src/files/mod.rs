@@ -8,7 +8,7 @@ mod read;
 #[cfg(feature = "simulator")]
 mod write;
 
-pub use read::{open, read, read_open};
+pub use read::{open, read, read_open, text};
 #[cfg(feature = "simulator")]
 pub use write::{Error, Outputs, check, remove_unfinished, write};
 

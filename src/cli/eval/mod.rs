@@ -322,8 +322,7 @@ pub(super) fn read_labels(
             let attributes = label.attributes.clone();
             snaps.push(Snap { class, truth: label.truth, attributes });
         }
-        let direct = folder.join(&picture.file);
-        let path = if direct.exists() { direct } else { folder.join("images").join(&picture.file) };
+        let path = file_of(folder, &picture);
         outputs.spare(&path);
         // One file may have two names; where there is none, reading tells.
         if let Ok(one) = path.canonicalize()
@@ -337,6 +336,15 @@ pub(super) fn read_labels(
         Ok(Labelled { source: Source::File(path), picture, snaps })
     });
     labelled.collect()
+}
+
+/// The file of a labelled picture, in its folder or `images` there; where there is none, what was looked for last.
+fn file_of(folder: &Path, picture: &Picture) -> PathBuf {
+    let images = folder.join("images");
+    let windows = picture.file_of_windows();
+    let names = std::iter::once(&picture.file).chain(&windows);
+    let mut files = names.flat_map(|name| [folder.join(name), images.join(name)]);
+    files.find(|file| file.exists()).unwrap_or_else(|| images.join(&picture.file))
 }
 
 fn look(

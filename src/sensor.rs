@@ -25,7 +25,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result};
 use crate::files;
 use crate::frame::Rect;
-use crate::model::PAPER_MM;
+use crate::model::{MAX_PIXELS, PAPER_MM};
 
 /// Shortest and longest field of view in millimetres along the gel's longer side: what the weights are
 /// trained for.
@@ -252,6 +252,7 @@ impl Sensor {
             sensor: "sensor".into(),
             message: e.to_string(),
         };
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let sensor: Self = serde_json::from_str(text).map_err(fail)?;
         sensor.check()?;
         Ok(sensor)
@@ -270,6 +271,10 @@ impl Sensor {
             let fits = [width, height].iter().all(|side| (1..=MAX_SIDE).contains(side));
             let got = || format!("frame: expected sides of 1 to {MAX_SIDE}, got {width}, {height}");
             self.expect(fits, got)?;
+            let pixels = u64::from(width) * u64::from(height);
+            self.expect(pixels <= MAX_PIXELS as u64, || {
+                format!("frame: expected at most {MAX_PIXELS} pixels, got {width} × {height}")
+            })?;
         }
         if let Some(gel) = self.gel {
             let Some([width, height]) = self.frame else {
@@ -531,7 +536,7 @@ mod tests {
     fn a_lens_bends_the_gel_alone_as_in_the_whole_frame() {
         let text = r#"{ "name": "lens", "frame": [800, 600], "mm_per_pixel": 0.05, "distortion": -0.1,
             "gel": { "x": 300, "y": 100, "width": 400, "height": 400 } }"#;
-        let sensor = Sensor::parse(text).expect("a sensor");
+        let sensor = Sensor::parse(&format!("\u{feff}{text}")).expect("a sensor after a mark");
         let whole = sensor.view([800, 600], None).expect("a view");
         let alone = sensor.view([200, 200], None).expect("a view");
         let (in_frame, in_gel) = (whole.place_mm([680.0, 140.0]), alone.place_mm([190.0, 20.0]));
@@ -547,6 +552,10 @@ mod tests {
             (
                 r#"{ "name": "a", "frame": [0, 9] }"#,
                 "sensor `a`: frame: expected sides of 1 to 65535, got 0, 9",
+            ),
+            (
+                r#"{ "name": "a", "frame": [65535, 65535] }"#,
+                "sensor `a`: frame: expected at most 33554432 pixels, got 65535 × 65535",
             ),
             (
                 r#"{ "name": "a", "mm_per_pixel": 1.5 }"#,

@@ -90,7 +90,7 @@ class Entry:
 
 def read_coco(folder: Path) -> list[Entry]:
     """A folder's pictures in the order of its file; without a stated scale a frame is the paper's."""
-    coco = json.loads((folder / "annotations.json").read_text())
+    coco = json.loads((folder / "annotations.json").read_text(encoding="utf-8-sig"))
     label = {c["id"]: CLASSES.index(c["name"].upper()) + 1 for c in coco["categories"] if c["name"].upper() in CLASSES}
     found: dict[int, list] = {image["id"]: [] for image in coco["images"]}
     for annotation in coco["annotations"]:

@@ -22,7 +22,7 @@ use super::draw::Gallery;
 use super::exit::{Exit, Failure, told};
 use super::output::{folder_name, json_line, tell};
 use super::picture;
-use super::source::Source;
+use super::source::{Source, base64, shown};
 
 /// Longest annotations.json: COCO's own of 118 thousand pictures is half as long.
 const MAX_ANNOTATIONS: u64 = 1 << 30;
@@ -138,6 +138,8 @@ struct Paper {
 #[derive(Serialize)]
 struct Report {
     data: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    data_base64: Option<String>,
     pictures: usize,
     failed: usize,
     conf: f32,
@@ -159,13 +161,14 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let nms_iou = config.iou;
     let mut outputs = Outputs::default();
     args.detector.network.spare(&mut outputs, &config);
+    each_once(&args.data)?;
     let detector = detector::open(config)?;
     let classes = detector.model().classes.clone();
     // All labels first: a mistake in the last folder's costs no hour.
     let labels = args.data.iter().map(|folder| {
         let mut pictures = read_labels(folder, &classes, &mut outputs)?;
         pictures.truncate(args.limit.map_or(usize::MAX, |n| n as usize));
-        Ok((folder.display().to_string(), pictures))
+        Ok((shown(folder.as_os_str()), pictures))
     });
     let labels = labels.collect::<Result<Vec<_>, Failure>>()?;
     let mut gallery = args.save.as_deref().map(Gallery::create).transpose()?;
@@ -183,6 +186,10 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         let figures = figures(&set.seen, &every, conf);
         Report {
             data: set.name.clone(),
+            data_base64: args.data.iter().find_map(|folder| {
+                let is_this = shown(folder.as_os_str()) == set.name;
+                base64(folder.as_os_str()).filter(|_| is_this)
+            }),
             pictures: set.seen.len(),
             failed: set.failed,
             conf: args.conf,
@@ -252,6 +259,21 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         print::remark(&report);
     }
     Ok(together.exit)
+}
+
+/// Refuses folders of which two are one, by whatever names: its pictures would count twice.
+fn each_once(folders: &[PathBuf]) -> Result<(), Failure> {
+    let mut name_of = HashMap::new();
+    for folder in folders {
+        // Reading tells of one that is not there.
+        let Ok(one) = folder.canonicalize() else { continue };
+        if let Some(other) = name_of.insert(one, folder) {
+            let [other, folder] = [other, folder].map(|path| shown(path.as_os_str()));
+            let message = format!("--data: expected each folder once, got {other} and {folder}");
+            return Err(Failure::usage(message));
+        }
+    }
+    Ok(())
 }
 
 /// Detects in all pictures of a set. Those that fail are told of and counted.

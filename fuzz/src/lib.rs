@@ -1,1 +1,11 @@
+//! What is tried with bytes that nobody vouches for. Each target is a function of bytes that panics
+//! if something is wrong; `cargo fuzz` calls it, and so does `tests/fuzz.rs` without nightly.
 
+pub mod annotations;
+pub mod choices;
+pub mod ops;
+pub mod pictures;
+pub mod sensors;
+pub mod streams;
+pub mod tables;
+pub mod weights;

@@ -56,7 +56,8 @@ fn detector() -> &'static GpuDetector {
     DETECTOR.get_or_init(|| {
         let here = Path::new(env!("CARGO_MANIFEST_DIR"));
         let file = "weights/smrnet-s.safetensors";
-        let weights = [here.join(file), here.join("..").join(file)].into_iter().find(|f| f.exists());
+        let weights =
+            [here.join(file), here.join("..").join(file)].into_iter().find(|f| f.exists());
         let mut config = Config::new(weights.expect("the weights")).device(Device::Cpu);
         config.input_size = Some(32);
         config.score = 0.05;

@@ -11,7 +11,9 @@ pub fn run(data: &[u8]) {
     assert!(table.front().len() <= table.rows.len());
     for limit in [0.0, 0.1, 1e9].map(Limit::ShiftMm).into_iter().chain([Limit::Iou(0.9)]) {
         match (table.choose(limit), limit) {
-            (Ok(row), Limit::ShiftMm(most)) => assert!(row.setup.batch <= 1 && row.shift_mm() <= most),
+            (Ok(row), Limit::ShiftMm(most)) => {
+                assert!(row.setup.batch <= 1 && row.shift_mm() <= most)
+            }
             (Ok(row), Limit::Iou(least)) => {
                 assert!(row.quality.is_some_and(|quality| quality.iou >= least));
             }

@@ -101,7 +101,7 @@ const OPTIONS: [(&str, &str, &str); 12] = [
     ("detect", "precision", "--precision"),
     ("detect", "score", "--conf"),
     ("compare", "device", "--device"),
-    ("check", "operation", "OP"),
+    ("check", "operation", "NAME"),
     ("check", "kernel", "--kernel"),
     ("check", "case", "--case"),
     ("tradeoff", "max_shift_mm", "--max-shift-mm"),

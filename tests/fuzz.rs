@@ -12,7 +12,7 @@ mod targets;
 
 const CHANGED: usize = 10_000;
 /// Of frames' sequences, of which each frame runs a network.
-const CHANGED_STREAMS: usize = 300;
+const CHANGED_STREAMS: usize = 100;
 
 #[test]
 fn pictures() {

@@ -8,9 +8,12 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fmt::Display;
 use std::path::{Component, Path, PathBuf};
 
-use serde::Deserialize;
+use serde::de::{Unexpected, Visitor};
+use serde::{Deserialize, Deserializer};
 use serde_json::Value;
+use serde_path_to_error::Segment;
 
+use crate::files;
 use crate::frame::Frame;
 use crate::metrics::Truth;
 use crate::model::MAX_PIXELS;
@@ -120,12 +123,43 @@ struct Coco {
     categories: Vec<CocoCategory>,
 }
 
+/// A whole number from 0. Some tools write it as 5.0.
+#[derive(Clone, Copy)]
+struct Whole(u64);
+
+impl<'de> Deserialize<'de> for Whole {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        /// From here on doubles no longer hold every whole number.
+        const MOST: f64 = (1u64 << 53) as f64;
+        struct Wanted;
+        impl Visitor<'_> for Wanted {
+            type Value = Whole;
+
+            fn expecting(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+                f.write_str("a whole number from 0")
+            }
+
+            fn visit_u64<E>(self, value: u64) -> Result<Whole, E> {
+                Ok(Whole(value))
+            }
+
+            fn visit_f64<E: serde::de::Error>(self, value: f64) -> Result<Whole, E> {
+                match (0.0..MOST).contains(&value) && value.fract() == 0.0 {
+                    true => Ok(Whole(value as u64)),
+                    false => Err(E::invalid_value(Unexpected::Float(value), &self)),
+                }
+            }
+        }
+        from.deserialize_u64(Wanted)
+    }
+}
+
 #[derive(Deserialize)]
 struct CocoImage {
-    id: u64,
+    id: Whole,
     file_name: String,
-    width: Option<u32>,
-    height: Option<u32>,
+    width: Option<Whole>,
+    height: Option<Whole>,
     mm_per_pixel: Option<f32>,
     /// What other tools call so may be anything.
     gel: Option<Value>,
@@ -135,9 +169,9 @@ struct CocoImage {
 
 #[derive(Deserialize)]
 struct CocoAnnotation {
-    id: Option<u64>,
-    image_id: u64,
-    category_id: u64,
+    id: Option<Whole>,
+    image_id: Whole,
+    category_id: Whole,
     /// Left, top, width, height in pixels.
     bbox: [f64; 4],
     area: Option<f64>,
@@ -173,7 +207,7 @@ impl CocoAnnotation {
 
 #[derive(Deserialize)]
 struct CocoCategory {
-    id: u64,
+    id: Whole,
     name: String,
 }
 
@@ -184,8 +218,8 @@ struct CocoCategory {
 /// share; ids that nothing has; files outside the folder; sizes past [`MAX_PIXELS`]; boxes that are
 /// empty, inside out, not finite or outside their picture; areas and crowds that are none.
 pub fn parse(bytes: &[u8]) -> Result<Dataset, Error> {
-    let coco: Coco = serde_json::from_slice(bytes)
-        .map_err(|e| Error::new("annotations", "COCO's JSON", format!("an error: {e}")))?;
+    let text = files::text(bytes).map_err(|e| Error::new("annotations", "COCO's JSON", e))?;
+    let coco: Coco = serde_json::from_str(text).map_err(|e| named(text, &e))?;
     if coco.images.is_empty() {
         return Err(Error::new("images", "at least one", "none"));
     }
@@ -196,13 +230,14 @@ pub fn parse(bytes: &[u8]) -> Result<Dataset, Error> {
     let mut ids = HashSet::new();
     for (index, annotation) in coco.annotations.into_iter().enumerate() {
         let name = match annotation.id {
-            Some(id) => format!("annotation {id}"),
+            Some(Whole(id)) => format!("annotation {id}"),
             None => format!("annotation at position {index}"),
         };
-        if annotation.id.is_some_and(|id| !ids.insert(id)) {
+        if annotation.id.is_some_and(|Whole(id)| !ids.insert(id)) {
             return Err(Error::new(name, "each id once", "it twice"));
         }
-        let CocoAnnotation { image_id, category_id, .. } = annotation;
+        let CocoAnnotation { image_id: Whole(image_id), category_id: Whole(category_id), .. } =
+            annotation;
         let category = category_of.get(&category_id).copied();
         let category = category
             .ok_or_else(|| Error::new(&name, "the category_id of a category", category_id))?;
@@ -223,10 +258,40 @@ pub fn parse(bytes: &[u8]) -> Result<Dataset, Error> {
     Ok(Dataset { categories, pictures })
 }
 
+/// `error` of reading this text, with the entry and the field that it is about, if it is about one.
+fn named(text: &str, error: &serde_json::Error) -> Error {
+    let failed = |place: String| Error::new(place, "COCO's JSON", format!("an error: {error}"));
+    if !error.is_data() {
+        return failed("annotations".into());
+    }
+    // Once more from the start: keeping the place takes time that sound files need not spend.
+    let mut reader = serde_json::Deserializer::from_str(text);
+    let read = serde_path_to_error::deserialize::<_, Coco>(&mut reader);
+    let path = read.err().map(|e| e.path().clone());
+    let mut path = path.iter().flatten();
+    let (Some(Segment::Map { key }), Some(Segment::Seq { index })) = (path.next(), path.next())
+    else {
+        return failed("annotations".into());
+    };
+    let one = match key.as_str() {
+        "categories" => "category",
+        list => list.trim_end_matches('s'),
+    };
+    let id = serde_json::from_str::<Value>(text).map(|all| all[key][index]["id"].clone());
+    let mut place = match id {
+        Ok(Value::Null) | Err(_) => format!("{one} at position {index}"),
+        Ok(id) => format!("{one} {id}"),
+    };
+    if let Some(Segment::Map { key }) = path.next() {
+        place += &format!(": {key}");
+    }
+    failed(place)
+}
+
 /// The categories' names, and the position of each id among them.
 fn categories(categories: Vec<CocoCategory>) -> Result<(HashMap<u64, usize>, Vec<String>), Error> {
     let (mut place_of, mut names, mut known) = (HashMap::new(), Vec::new(), HashSet::new());
-    for CocoCategory { id, name } in categories {
+    for CocoCategory { id: Whole(id), name } in categories {
         if place_of.insert(id, names.len()).is_some() {
             return Err(Error::new(format!("category {id}"), "each id once", "it twice"));
         }
@@ -243,7 +308,9 @@ fn categories(categories: Vec<CocoCategory>) -> Result<(HashMap<u64, usize>, Vec
 fn pictures(images: Vec<CocoImage>) -> Result<Vec<Picture>, Error> {
     let mut pictures = Vec::with_capacity(images.len());
     let mut owner_of: HashMap<PathBuf, u64> = HashMap::new();
-    for CocoImage { id, file_name, width, height, mm_per_pixel, gel, conditions } in images {
+    for image in images {
+        let CocoImage { id: Whole(id), file_name, width, height, mm_per_pixel, gel, conditions } =
+            image;
         let name = format!("image {id}");
         let file = below(&file_name).ok_or_else(|| {
             Error::new(&name, "a file_name inside the folder", format!("`{file_name}`"))
@@ -252,13 +319,16 @@ fn pictures(images: Vec<CocoImage>) -> Result<Vec<Picture>, Error> {
             let got = format!("`{file_name}`, which is image {other}'s");
             return Err(Error::new(name, "a file_name of its own", got));
         }
-        let size = width.zip(height);
-        let pixels = size.map(|(w, h)| u64::from(w) * u64::from(h));
-        if pixels.is_some_and(|pixels| !(1..=MAX_PIXELS as u64).contains(&pixels)) {
-            let (w, h) = size.unwrap_or_default();
-            let expected = format!("1 to {MAX_PIXELS} pixels");
-            return Err(Error::new(name, expected, format!("{w} × {h}")));
-        }
+        let size = width.zip(height).map(|(Whole(w), Whole(h))| {
+            let sides = u32::try_from(w).ok().zip(u32::try_from(h).ok());
+            let fits = |(w, h): &(u32, u32)| {
+                (1..=MAX_PIXELS as u64).contains(&(u64::from(*w) * u64::from(*h)))
+            };
+            sides.filter(fits).ok_or_else(|| {
+                Error::new(&name, format!("1 to {MAX_PIXELS} pixels"), format!("{w} × {h}"))
+            })
+        });
+        let size = size.transpose()?;
         let gel = gel.map(|value| {
             let rect = serde_json::from_value::<Rect>(value.clone()).ok();
             let (w, h) = size.unwrap_or((u32::MAX, u32::MAX));
@@ -310,7 +380,7 @@ fn truth(name: &str, annotation: &CocoAnnotation) -> Result<Truth, Error> {
     }
     let crowd = match annotation.iscrowd.as_ref() {
         None => false,
-        Some(value) => match value.as_bool().or(value.as_u64().and_then(flag)) {
+        Some(value) => match value.as_bool().or(value.as_f64().and_then(flag)) {
             Some(crowd) => crowd,
             None => return Err(Error::new(name, "an iscrowd of 0 or 1", value)),
         },
@@ -318,10 +388,10 @@ fn truth(name: &str, annotation: &CocoAnnotation) -> Result<Truth, Error> {
     Ok(Truth { bbox, area, crowd, ignored: false })
 }
 
-fn flag(number: u64) -> Option<bool> {
+fn flag(number: f64) -> Option<bool> {
     match number {
-        0 => Some(false),
-        1 => Some(true),
+        0.0 => Some(false),
+        1.0 => Some(true),
         _ => None,
     }
 }
@@ -332,6 +402,13 @@ impl Picture {
         frame.scale = self.mm_per_pixel.map(Scale::label);
         frame.gel = self.gel.map(Gel::Part);
         frame
+    }
+
+    /// [`Picture::file`] as Windows means it, with backslashes between folders: for where no file has the name
+    /// as it stands. `None` if there are no backslashes, or if it would lead out of the folder.
+    pub fn file_of_windows(&self) -> Option<PathBuf> {
+        let name = self.file.to_str().filter(|name| name.contains('\\'))?;
+        below(&name.replace('\\', "/"))
     }
 
     /// Checks the picture's true size: against the stated one, and whether all boxes lie inside.

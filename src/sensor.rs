@@ -26,6 +26,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result};
 use crate::files;
 use crate::frame::Frame;
+use crate::model::MAX_PIXELS;
 #[cfg(feature = "picture")]
 use crate::pixel_format::PixelFormat;
 use crate::rect::Rect;
@@ -264,7 +265,7 @@ impl Sensor {
     pub fn open(path: &Path) -> Result<Self> {
         let fail = |message: String| Error::Sensor { sensor: path.display().to_string(), message };
         let bytes = files::read(path, MAX_FILE).map_err(|e| fail(e.to_string()))?;
-        let text = std::str::from_utf8(&bytes).map_err(|e| fail(e.to_string()))?;
+        let text = files::text(&bytes).map_err(|e| fail(e.to_string()))?;
         let mut sensor = Self::parse(text).map_err(|e| match e {
             Error::Sensor { message, .. } => fail(message),
             other => other,
@@ -287,6 +288,7 @@ impl Sensor {
             sensor: "sensor".into(),
             message: e.to_string(),
         };
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let sensor: Self = serde_json::from_str(text).map_err(fail)?;
         sensor.check()?;
         Ok(sensor)
@@ -305,6 +307,10 @@ impl Sensor {
             let fits = [width, height].iter().all(|side| (1..=MAX_SIDE).contains(side));
             let got = || format!("frame: expected sides of 1 to {MAX_SIDE}, got {width}, {height}");
             self.expect(fits, got)?;
+            let pixels = u64::from(width) * u64::from(height);
+            self.expect(pixels <= MAX_PIXELS as u64, || {
+                format!("frame: expected at most {MAX_PIXELS} pixels, got {width} × {height}")
+            })?;
         }
         self.expect(self.gel.is_none() || self.frame.is_some(), || {
             "gel: expected `frame` beside it, got none".into()
@@ -582,6 +588,10 @@ mod tests {
             (
                 r#"{ "name": "a", "frame": [0, 9] }"#,
                 "sensor `a`: frame: expected sides of 1 to 65535, got 0, 9",
+            ),
+            (
+                r#"{ "name": "a", "frame": [65535, 65535] }"#,
+                "sensor `a`: frame: expected at most 33554432 pixels, got 65535 × 65535",
             ),
             (
                 r#"{ "name": "a", "mm_per_pixel": 1.5 }"#,

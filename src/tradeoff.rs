@@ -200,11 +200,20 @@ impl Table {
     pub fn open(path: &Path) -> Result<Self> {
         let fail = |message: String| Error::File { file: path.to_owned(), message };
         let bytes = files::read(path, MAX_FILE).map_err(|e| fail(e.to_string()))?;
-        let table: Self = serde_json::from_slice(&bytes)
-            .map_err(|e| fail(format!("expected a table of setups, got an error: {e}")))?;
+        Self::parse(&bytes).map_err(fail)
+    }
+
+    /// Reads the bytes of a table's file.
+    ///
+    /// # Errors
+    /// In words, as [`Table::open`] has them after the file's name.
+    pub fn parse(bytes: &[u8]) -> std::result::Result<Self, String> {
+        let text = files::text(bytes).map_err(|e| e.to_string())?;
+        let table: Self = serde_json::from_str(text)
+            .map_err(|e| format!("expected a table of setups, got an error: {e}"))?;
         for setup in table.rows.iter().map(|row| &row.setup) {
             let refuse = |what: &str, expected: &str, got: &dyn std::fmt::Display| {
-                fail(format!("{}: {what}: expected {expected}, got {got}", setup.name()))
+                format!("{}: {what}: expected {expected}, got {got}", setup.name())
             };
             if let Some(size) = setup.size.filter(|size| !ModelConfig::is_input_size(*size)) {
                 return Err(refuse("size", ModelConfig::INPUT_SIZES, &size));

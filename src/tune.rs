@@ -70,15 +70,25 @@ impl Tuned {
     /// [`Error::File`] for a file that is damaged, or measured elsewhere.
     pub fn read(path: &Path, gpu: &Gpu) -> Result<Self> {
         let fail = |message: String| Error::File { file: path.to_owned(), message };
-        let expected = |got: String| fail(format!("expected a choice of kernels, got {got}"));
         let bytes = files::read(path, MAX_FILE).map_err(|e| fail(e.to_string()))?;
-        let tuned: Self =
-            serde_json::from_slice(&bytes).map_err(|e| expected(format!("an error: {e}")))?;
+        let tuned = Self::parse(&bytes).map_err(fail)?;
         let Place { adapter, driver, version } = &tuned.place;
         match tuned.place == Place::of(gpu) {
             true => Ok(tuned),
-            false => Err(expected(format!("one of {adapter} ({driver}) in version {version}"))),
+            false => Err(fail(format!(
+                "expected a choice of kernels, got one of {adapter} ({driver}) in version {version}"
+            ))),
         }
+    }
+
+    /// Reads the bytes of a choice's file, wherever it was measured.
+    ///
+    /// # Errors
+    /// In words.
+    pub fn parse(bytes: &[u8]) -> std::result::Result<Self, String> {
+        let text = files::text(bytes).map_err(|e| e.to_string())?;
+        serde_json::from_str(text)
+            .map_err(|e| format!("expected a choice of kernels, got an error: {e}"))
     }
 
     /// With what `earlier` says of shapes that this does not name: those of another network, or of another

@@ -53,10 +53,27 @@ fn wrong_command_lines_are_usage_errors() {
         (&["detect", "x.png", "--size", "1472"], "expected a multiple of 32 from 32 to 1440"),
         (&["detect", "x.png", "--size", "99999999999999999999"], "expected a multiple of 32"),
         (&["detect", "x.png", "--device", ""], "an adapter's index or part of its name, got ``"),
+        (&["compare", "x.png", "--device", ""], ">': expected `auto`"),
         (&["check", "--device", " \t"], "an adapter's index or part of its name"),
         (&["detect", "x.png", "--max-det", "0"], "1..=100"),
         (&["detect", "x.png", "--max-det", "101"], "1..=100"),
-        (&["detect", "x.png", "--class", "C"], "expected A, B, got `C`"),
+        (&["detect", "x.png", "--class", "C"], "smr-gpu: --class: expected A, B, got `C`"),
+        (&["detect", "x.png", "--precision", "f64"], ": expected `f32` or `f16`, got `f64`"),
+        (&["check", "conv2d", "--case", "nope"], "smr-gpu: --case: expected one of `"),
+        (&["calibrate", "--presses", ".", "--radius", "nan"], "expected a number from 0.2 to 20"),
+        (&["calibrate", "--presses", ".", "--radius", "0"], "expected a number from 0.2 to 20"),
+        (&["calibrate", "--presses", ".", "--radius", "inf"], "expected a number from 0.2 to 20"),
+        (&["calibrate", "--presses", ".", "--mm-per-pixel", "-1"], "a number from 0.0005 to 1"),
+        (&["calibrate", "--presses", ".", "--mm-per-pixel", "NaN"], "a number from 0.0005 to 1"),
+        (
+            &["simulate", "--out", "o", "--count", "1", "--seed", "1", "--sensor", "plain"],
+            "expected paper, gelsight-mini, or a file that states a `frame` to draw",
+        ),
+        (
+            &["simulate", "--out", "o", "--count", "1", "--seed", "1", "--sensor", "nobody"],
+            "expected paper, gelsight-mini or a file",
+        ),
+        (&["eval", "--data", ".", "./"], "--data: expected each folder once, got . and ./"),
         (&["detect", "-", "-"], "expected once"),
         (&["detect", "x.png", "y.png", "--dump-stages", "s"], "expected one picture, got 2"),
         (&["eval"], "--data"),
@@ -82,6 +99,9 @@ fn wrong_command_lines_are_usage_errors() {
     for (arguments, phrase) in cases {
         let ran = run(folder.path(), arguments).expect(2).tells(phrase);
         assert_eq!(ran.stdout, "", "{arguments:?}");
+        // Nobody typed what the library calls an option.
+        let is_op = arguments.first() == Some(&"op");
+        assert!(is_op || !ran.stderr.contains("parameter `"), "{}", ran.stderr);
     }
     run(folder.path(), &["--help"]).expect(0);
     run(folder.path(), &["--version"]).expect(0);
@@ -814,4 +834,132 @@ fn the_sensor_sets_scale_and_input() {
     }
     fs::write(folder.path().join("mine.json"), "{}").expect("written");
     detect(&["--sensor", "mine.json"]).expect(2).tells("missing field `name`");
+}
+
+/// As long as their longest name, the columns of tables stand below their heads.
+#[test]
+fn tables_are_as_wide_as_the_names_of_classes() {
+    let folder = folder();
+    let bytes = fs::read(SMALL_WEIGHTS).expect("the weights");
+    let (length, header) = SafeTensors::read_metadata(&bytes).expect("a header");
+    let config = &header.metadata().as_ref().expect("metadata")["config"];
+    let [old, new] = [config, &config.replace("\"B\"", "\"a bracket\"")]
+        .map(|config| serde_json::to_string(config).expect("JSON"));
+    let text = std::str::from_utf8(&bytes[8..][..length]).expect("text");
+    let mut text = text.replace(&old, &new).into_bytes();
+    assert!(text.len() > length);
+    text.resize(text.len().next_multiple_of(8), b' ');
+    let mut file = (text.len() as u64).to_le_bytes().to_vec();
+    file.extend(text.iter().chain(&bytes[8 + length..]));
+    fs::write(folder.path().join("w.safetensors"), file).expect("written");
+    let stud = concat!(env!("CARGO_MANIFEST_DIR"), "/samples/stud.png");
+    let detect = ["detect", stud, "--weights", "w.safetensors", "--device", "cpu"];
+    let ran = run(folder.path(), &detect).expect(0);
+    let lines: Vec<&str> = ran.stdout.lines().collect();
+    let [head, row] = lines[..] else { panic!("a snap: {}", ran.stdout) };
+    let at = |line: &str, word: &str| {
+        let place = line.find(word).unwrap_or_else(|| panic!("no {word} in {line}"));
+        line[..place].chars().count()
+    };
+    assert_eq!(at(row, "a bracket"), at(head, "class"), "{}", ran.stdout);
+    let score = row.split("a bracket").nth(1).expect("a score").trim_start();
+    assert_eq!(at(row, score), at(head, "score"), "{}", ran.stdout);
+}
+
+/// Files whose names are no UTF-8 stay two, in every output that names them.
+#[cfg(target_os = "linux")]
+#[test]
+fn names_that_are_no_utf_8_are_told_apart() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+
+    let folder = folder();
+    let names = [&b"a\xff.png"[..], b"a\xfe.png", "ä.png".as_bytes()].map(OsStr::from_bytes);
+    for name in names {
+        let file = std::io::Cursor::new(Vec::new());
+        let mut png = file;
+        ramp(40, 40).write_to(&mut png, image::ImageFormat::Png).expect("encoded");
+        fs::write(folder.path().join(name), png.get_ref()).expect("written");
+    }
+    let with = |arguments: &[&str]| {
+        let mut command = command(folder.path());
+        command.arg(arguments[0]).args(names).args(&arguments[1..]);
+        Ran::from(command.output().expect("the program runs")).expect(0)
+    };
+    let quick = ["--size", "32", "--json"];
+    for ran in [
+        with(&[&["detect"], &quick[..], &["--device", "cpu", "--save", "out"]].concat()),
+        with(&[&["compare"], &quick[..]].concat()),
+    ] {
+        let files: Vec<[Value; 2]> =
+            ran.json().iter().map(|o| ["file", "file_base64"].map(|key| o[key].clone())).collect();
+        let want = [
+            ["a\\xff.png".into(), "Yf8ucG5n".into()],
+            ["a\\xfe.png".into(), "Yf4ucG5n".into()],
+            ["ä.png".into(), Value::Null],
+        ];
+        assert_eq!(files, want);
+    }
+    let mut saved: Vec<_> = fs::read_dir(folder.path().join("out"))
+        .expect("a folder")
+        .map(|entry| entry.expect("an entry").file_name())
+        .collect();
+    saved.sort();
+    assert_eq!(saved, ["a\\xfe.png", "a\\xff.png", "ä.png"]);
+
+    // A folder of labels.
+    let set = folder.path().join(OsStr::from_bytes(b"set\xff"));
+    fs::create_dir(&set).expect("created");
+    ramp(40, 40).save(set.join("0.png")).expect("saved");
+    let labels =
+        r#"{ "categories": [], "annotations": [], "images": [{ "id": 1, "file_name": "0.png" }] }"#;
+    fs::write(set.join("annotations.json"), labels).expect("written");
+    let mut eval = command(folder.path());
+    eval.args(["eval", "--size", "32", "--json", "--device", "cpu", "--data"]).arg(&set);
+    let ran = Ran::from(eval.output().expect("the program runs")).expect(0);
+    let data = ran.json()[0]["data"].as_str().expect("a name").to_owned();
+    assert!(data.ends_with("/set\\xff"), "{data}");
+    assert!(ran.json()[0]["data_base64"].is_string());
+}
+
+/// Labels from Windows, also with a byte order mark.
+#[cfg(unix)]
+#[test]
+fn backslashes_in_labels_lead_to_files_inside_the_folder() {
+    let folder = folder();
+    for set in ["set", "set/left", "images"] {
+        fs::create_dir(folder.path().join(set)).expect("created");
+        ramp(40, 40).save(folder.path().join(set).join("a.png")).expect("saved");
+    }
+    let eval = |name: &str| {
+        let labels = serde_json::json!({ "categories": [], "annotations": [],
+            "images": [{ "id": 1, "file_name": name }] });
+        let file = folder.path().join("set/annotations.json");
+        fs::write(file, format!("\u{feff}{labels}")).expect("written");
+        let arguments = ["eval", "--size", "32", "--json", "--device", "cpu", "--data", "set"];
+        run(folder.path(), &arguments)
+    };
+    assert_eq!(eval("left\\a.png").expect(0).json()[0]["pictures"], 1);
+    eval("..\\images\\a.png").expect(1).tells("set/images/..\\images\\a.png: No such file");
+    // A file of that very name comes first.
+    fs::write(folder.path().join("set/left\\a.png"), "no picture").expect("written");
+    eval("left\\a.png").expect(1).tells("set/left\\a.png: ");
+}
+
+/// A few bytes ask for no gigabytes, whatever the command.
+#[test]
+fn a_sensor_of_too_many_pixels_is_refused_where_it_is_read() {
+    let folder = folder();
+    fs::write(folder.path().join("s.json"), r#"{ "name": "s", "frame": [65535, 65535] }"#)
+        .expect("written");
+    for command in [&["bench"][..], &["tune"], &["detect", "x.png"], &["compare", "x.png"]] {
+        run(folder.path(), &[command, &["--sensor", "s.json"]].concat())
+            .expect(2)
+            .tells("sensor `s.json`: frame: expected at most 33554432 pixels, got 65535 × 65535");
+    }
+    let text = "\u{feff}{ \"name\": \"s\", \"frame\": [64, 64] }";
+    fs::write(folder.path().join("s.json"), text).expect("written");
+    ramp(64, 64).save(folder.path().join("x.png")).expect("saved");
+    let detect = ["detect", "x.png", "--size", "32", "--device", "cpu", "--sensor", "s.json"];
+    run(folder.path(), &detect).expect(0);
 }

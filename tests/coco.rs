@@ -137,8 +137,8 @@ fn what_would_enter_the_figures_unseen_is_refused_by_name() {
         (bbox(json!([1e308, 20, 1.7e308, 4])), "annotation 1: expected a bbox of finite numbers"),
         (bbox(json!([10, 20, 72, 4])), "annotation 1: expected a bbox inside its 80 × 60 pixels"),
         (bbox(json!([-2, 20, 7, 4])), "annotation 1: expected a bbox inside its 80 × 60 pixels"),
-        (bbox(json!([1, 2, 3])), "annotations: expected COCO's JSON"),
-        (bbox(json!([1, 2, 3, null])), "annotations: expected COCO's JSON"),
+        (bbox(json!([1, 2, 3])), "annotation 1: bbox: expected COCO's JSON"),
+        (bbox(json!([1, 2, 3, null])), "annotation 1: bbox: expected COCO's JSON"),
         (
             changed(|v| v["annotations"][1]["bbox"] = json!([-9, 0, 4, 5])),
             "annotation 2: expected a bbox inside its picture",
@@ -171,11 +171,80 @@ fn what_would_enter_the_figures_unseen_is_refused_by_name() {
         let whole = changed(|_| ()).to_string().replacen("[10,20,30,40]", text, 1);
         for text in [whole.as_str(), text] {
             let message = coco::parse(text.as_bytes()).expect_err(text).to_string();
-            assert!(message.starts_with("annotations: expected COCO's JSON"), "{message}");
+            assert!(message.contains("expected COCO's JSON, got an error: "), "{message}");
         }
     }
     let deep = "[".repeat(1 << 20);
     assert!(coco::parse(deep.as_bytes()).is_err());
+}
+
+/// Where a value is of another kind, the line and column alone help nobody.
+#[test]
+fn a_value_of_another_kind_is_named_by_entry_and_field() {
+    let set = |list: &'static str, at: usize, key: &'static str, value: Value| {
+        changed(move |v| v[list][at][key] = value)
+    };
+    let whole = "expected a whole number from 0";
+    let cases = [
+        (set("annotations", 1, "id", json!("2")), "annotation \"2\": id: ", whole),
+        (set("annotations", 1, "id", json!(-2)), "annotation -2: id: ", whole),
+        (set("annotations", 1, "id", json!(2.5)), "annotation 2.5: id: ", whole),
+        (set("annotations", 1, "id", json!(1e300)), "annotation 1e+300: id: ", whole),
+        (set("annotations", 1, "image_id", json!("3")), "annotation 2: image_id: ", whole),
+        (set("annotations", 1, "category_id", json!(-1)), "annotation 2: category_id: ", whole),
+        (set("annotations", 1, "category_id", json!(null)), "annotation 2: category_id: ", whole),
+        (set("annotations", 1, "area", json!("9")), "annotation 2: area: ", "expected f64"),
+        (set("images", 1, "id", json!([3])), "image [3]: id: ", whole),
+        (set("images", 0, "width", json!("80")), "image 7: width: ", whole),
+        (set("images", 0, "height", json!(59.5)), "image 7: height: ", whole),
+        (set("images", 0, "mm_per_pixel", json!("x")), "image 7: mm_per_pixel: ", "expected f32"),
+        (set("images", 0, "file_name", json!(7)), "image 7: file_name: ", "expected a string"),
+        (set("categories", 1, "id", json!("B")), "category \"B\": id: ", whole),
+        (set("categories", 1, "name", json!(2)), "category 2: name: ", "expected a string"),
+    ];
+    for (value, place, expected) in cases {
+        let message = parse(&value).expect_err(place);
+        let start = format!("{place}expected COCO's JSON, got an error: ");
+        assert!(message.starts_with(&start) && message.contains(expected), "{message}");
+    }
+    let without = changed(|v| drop(v["images"][1].as_object_mut().expect("one").remove("id")));
+    let message = parse(&without).expect_err("no id");
+    assert!(message.starts_with("image at position 1: expected") && message.contains("`id`"));
+    // The same number, as tools write it that know doubles alone.
+    let floats = changed(|v| {
+        v["images"][0]["id"] = json!(7.0);
+        v["images"][0]["width"] = json!(80.0);
+        v["annotations"][0] = json!(
+            {"id": 1.0, "image_id": 7.0, "category_id": 2.0, "bbox": [10, 20, 30, 40], "iscrowd": 0.0}
+        );
+    });
+    assert_eq!(parse(&floats), parse(&changed(|_| ())));
+}
+
+#[test]
+fn a_byte_order_mark_is_passed_over_and_utf_16_named() {
+    let text = changed(|_| ()).to_string();
+    let marked = coco::parse(format!("\u{feff}{text}").as_bytes());
+    assert_eq!(marked, coco::parse(text.as_bytes()));
+    assert!(marked.is_ok());
+    let wide: Vec<u8> =
+        format!("\u{feff}{text}").encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let message = coco::parse(&wide).expect_err("UTF-16").to_string();
+    assert!(message.ends_with("expected text in UTF-8, got UTF-16"), "{message}");
+}
+
+#[test]
+fn backslashes_are_separators_of_windows_and_lead_nowhere_else() {
+    let windows = |name: &str| {
+        let value = changed(|v| v["images"][0]["file_name"] = json!(name));
+        parse(&value).expect("annotations").pictures[1].file_of_windows()
+    };
+    assert_eq!(windows("images\\x\\a.png").as_deref(), Some(Path::new("images/x/a.png")));
+    assert_eq!(windows(".\\a.png").as_deref(), Some(Path::new("a.png")));
+    for name in ["a.png", "images/a.png", "..\\a.png", "x\\..\\..\\a.png", "\\a.png", "\\\\host\\a"]
+    {
+        assert_eq!(windows(name), None, "{name}");
+    }
 }
 
 /// What `smr-gpu simulate` writes beside boxes; from other tools the same names may hold anything.

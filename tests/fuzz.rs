@@ -11,6 +11,8 @@ use rand_pcg::Pcg64Mcg;
 mod targets;
 
 const CHANGED: usize = 10_000;
+/// Of frames' sequences, of which each frame runs a network.
+const CHANGED_STREAMS: usize = 100;
 
 #[test]
 fn pictures() {
@@ -25,6 +27,26 @@ fn weights() {
 #[test]
 fn annotations() {
     over("annotations", targets::annotations::run);
+}
+
+#[test]
+fn sensors() {
+    over("sensors", targets::sensors::run);
+}
+
+#[test]
+fn tables() {
+    over("tables", targets::tables::run);
+}
+
+#[test]
+fn choices() {
+    over("choices", targets::choices::run);
+}
+
+#[test]
+fn streams() {
+    over_changes("streams", CHANGED_STREAMS, targets::streams::run);
 }
 
 #[test]
@@ -46,6 +68,11 @@ fn every_operation_has_a_seed() {
 
 /// Runs a target on each file of its corpus and on changed copies of them.
 fn over(target: &str, run: fn(&[u8])) {
+    over_changes(target, CHANGED, run);
+}
+
+/// [`over`] with so many changed copies.
+fn over_changes(target: &str, changes: usize, run: fn(&[u8])) {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(target);
     let entries = std::fs::read_dir(&folder).expect("a corpus");
     let mut files: Vec<_> = entries.map(|e| e.expect("an entry").path()).collect();
@@ -68,10 +95,10 @@ fn over(target: &str, run: fn(&[u8])) {
         timed(&file.display().to_string(), bytes);
     }
     let mut rng = Pcg64Mcg::seed_from_u64(6);
-    for number in 0..CHANGED {
+    for number in 0..changes {
         timed(&format!("change {number}"), &changed(&corpus, &mut rng));
     }
-    println!("{target}: {} files, {CHANGED} changes, slowest {slowest:.1?}", files.len());
+    println!("{target}: {} files, {changes} changes, slowest {slowest:.1?}", files.len());
 }
 
 /// A copy of one of the files with some changes.

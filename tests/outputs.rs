@@ -329,6 +329,55 @@ fn one_run_at_a_time_writes_a_data_set() {
     run(folder.path(), &arguments).expect(0).tells("(0 new)");
 }
 
+/// What has the lock's name is not written, whatever other name it has.
+#[test]
+fn no_lock_is_written_into_a_file_of_the_user_s() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name);
+    let simulate = |more: &[&str]| {
+        let arguments = ["simulate", "--out", "o", "--count", "1", "--seed", "1", "--kind", "none"];
+        run(folder.path(), &[&arguments[..], more].concat())
+    };
+    fs::create_dir(path("o")).expect("created");
+    fs::write(path("thesis.txt"), "mine").expect("written");
+    fs::hard_link(path("thesis.txt"), path("o/.simulate.lock")).expect("linked");
+    let before = contents(folder.path());
+    let told =
+        "o/.simulate.lock: expected a free name or a file to replace, got a file that is no lock";
+    simulate(&[]).expect(6).tells(told);
+    assert!(contents(folder.path()) == before);
+
+    fs::remove_file(path("o/.simulate.lock")).expect("removed");
+    let sensor = r#"{ "name": "s", "frame": [320, 240], "mm_per_pixel": 0.06 }"#;
+    fs::write(path("o/.simulate.lock"), sensor).expect("written");
+    let before = contents(folder.path());
+    simulate(&["--sensor", "o/.simulate.lock"]).expect(6).tells(told);
+    assert!(contents(folder.path()) == before);
+}
+
+#[test]
+fn a_data_set_does_not_go_where_links_lead() {
+    for name in ["images", "labels"] {
+        let folder = folder();
+        fs::create_dir(folder.path().join("elsewhere")).expect("created");
+        fs::create_dir(folder.path().join("set")).expect("created");
+        symlink("../elsewhere", folder.path().join("set").join(name)).expect("linked");
+        let before = contents(folder.path());
+        data_set(&folder.path().join("set"), 1)
+            .expect(6)
+            .tells(&format!("{name}: expected a folder of its own, found a symbolic link"));
+        assert!(contents(folder.path()) == before, "{name}");
+        // Nor does one that was begun before the link came.
+        fs::remove_file(folder.path().join("set").join(name)).expect("removed");
+        data_set(&folder.path().join("set"), 1).expect(0);
+        fs::remove_dir_all(folder.path().join("set").join(name)).expect("removed");
+        symlink("../elsewhere", folder.path().join("set").join(name)).expect("linked");
+        let before = contents(folder.path());
+        data_set(&folder.path().join("set"), 2).expect(6).tells("found a symbolic link");
+        assert!(contents(folder.path()) == before, "{name}");
+    }
+}
+
 #[test]
 fn the_largest_data_set_begins_at_once() {
     let folder = folder();

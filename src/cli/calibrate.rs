@@ -7,9 +7,11 @@ use image::ImageFormat;
 use smr_gpu::files::Outputs;
 use smr_gpu::simulator::Error;
 use smr_gpu::simulator::calibrate::{
-    self, Ball, DIFFERENCE_GAIN, Distance, FOLDS, Report, read_sensor, sensor_files,
+    self, BALL_MM, Ball, DIFFERENCE_GAIN, Distance, FOLDS, MM_PER_PIXEL, Report, read_sensor,
+    sensor_files,
 };
 
+use super::detector::number;
 use super::exit::{Exit, Failure};
 use super::output::{count, folder_name, line, tell};
 
@@ -29,10 +31,12 @@ pub(super) struct Args {
 
     /// Radius of the ball.
     #[arg(long, value_name = "MM", default_value_t = 2.0, allow_negative_numbers = true)]
+    #[arg(value_parser = |text: &str| number(text, BALL_MM))]
     radius: f64,
 
     /// Millimetres of gel that a pixel shows [default: by the ball's outline].
     #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    #[arg(value_parser = |text: &str| number(text, MM_PER_PIXEL))]
     mm_per_pixel: Option<f64>,
 
     /// Write the fitted sensor: detect, eval and simulate take it as --sensor. It is called as the file

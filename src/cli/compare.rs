@@ -48,6 +48,8 @@ pub(super) struct Args {
 #[derive(Serialize)]
 struct Record<'a> {
     file: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    file_base64: Option<String>,
     adapter: String,
     ok: bool,
     stages: Vec<Stage<'a>>,
@@ -138,6 +140,7 @@ fn record<'a>(
     });
     Record {
         file: source.to_string(),
+        file_base64: source.base64(),
         adapter: detector.adapter(),
         ok: failures.is_empty(),
         stages: stages.collect(),

@@ -83,6 +83,9 @@ pub(super) struct Args {
 #[derive(Serialize)]
 struct Record<'a> {
     file: String,
+    /// Where the name is no Unicode, see [`super::source::base64`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    file_base64: Option<String>,
     width: u32,
     height: u32,
     /// The part that shows the gel, and whether that is assumed.
@@ -141,7 +144,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let detector = detector::open(config)?;
     let mut gallery = args.save.as_deref().map(Gallery::create).transpose()?;
     let artist = Artist::new(&detector.model().classes);
-    let mut table = Table::new(&sources);
+    let mut table = Table::new(&sources, &detector.model().classes);
     let (mut pictures, mut snaps, start) = (0, 0, Instant::now());
     let mut assumed = Assumed::default();
     for source in &sources {
@@ -228,6 +231,7 @@ fn dump(
 fn record<'a>(source: &Source, found: &'a Detections, detector: &'a GpuDetector) -> Record<'a> {
     Record {
         file: source.to_string(),
+        file_base64: source.base64(),
         width: found.width,
         height: found.height,
         gel: found.gel,
@@ -244,16 +248,23 @@ fn record<'a>(source: &Source, found: &'a Detections, detector: &'a GpuDetector)
     }
 }
 
+/// Heading of the classes' column.
+const CLASS: &str = "class";
+
 /// The table for people: a line a snap, or one for a picture without, below a head with their scale.
 struct Table {
     file_width: usize,
+    class_width: usize,
     /// That of the last head.
     scale: Option<Scale>,
 }
 
 impl Table {
-    fn new(sources: &[Source]) -> Self {
-        Self { file_width: column_width(sources), scale: None }
+    fn new(sources: &[Source], classes: &[String]) -> Self {
+        let names = classes.iter().map(String::as_str).chain([CLASS]);
+        let longest = names.map(|name| printable(name).chars().count()).max();
+        let (file_width, class_width) = (column_width(sources), longest.unwrap_or(0));
+        Self { file_width, class_width, scale: None }
     }
 
     /// The head, where the scale is another than that of the last.
@@ -269,21 +280,22 @@ impl Table {
             Origin::Assumed => "assumed",
         };
         line(format!(
-            "{:w$}  class  score  {x1:>7} {y1:>7} {x2:>7} {y2:>7} px  {:>7} {:>7} mm  {:>6} °  at \
+            "{:w$}  {CLASS:c$}  score  {x1:>7} {y1:>7} {x2:>7} {y2:>7} px  {:>7} {:>7} mm  {:>6} °  at \
              {:.4} mm a pixel, {from}",
             "file",
             "x",
             "y",
             "yaw",
             scale.mm_per_pixel,
-            w = self.file_width
+            w = self.file_width,
+            c = self.class_width
         ))
     }
 
     fn picture(&mut self, source: &Source, found: &Detections) -> Result<(), Failure> {
         self.heading(found.scale)?;
         let file = printable(source);
-        let w = self.file_width;
+        let Self { file_width: w, class_width: c, .. } = *self;
         if found.detections.is_empty() {
             return line(format!("{file:w$}  no snaps"));
         }
@@ -291,9 +303,9 @@ impl Table {
             let [x1, y1, x2, y2] = d.bbox;
             let [x, y] = d.center_mm;
             line(format!(
-                "{file:w$}  {:<5}  {:.3}  {x1:7.1} {y1:7.1} {x2:7.1} {y2:7.1}     {x:7.2} {y:7.2}     \
+                "{file:w$}  {:c$}  {:.3}  {x1:7.1} {y1:7.1} {x2:7.1} {y2:7.1}     {x:7.2} {y:7.2}     \
                  {:>6}{}",
-                d.class,
+                printable(&d.class),
                 d.score,
                 d.yaw_deg.map_or("-".into(), |yaw| format!("{yaw:.1}")),
                 // Below an even chance.

@@ -2,6 +2,7 @@
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -31,7 +32,7 @@ pub(super) struct DeviceArgs {
     /// adapter, be it software; its index in `smr-gpu devices`, or part of its name; `cpu` for this
     /// machine's cores, or `reference` for the f64 reference, which is slow.
     #[arg(long, default_value = "auto", value_name = "auto|gpu|cpu|reference|INDEX|NAME")]
-    #[arg(allow_negative_numbers = true)]
+    #[arg(value_parser = known::<Device>, allow_negative_numbers = true)]
     pub device: Device,
 }
 
@@ -40,7 +41,7 @@ pub(super) struct DeviceArgs {
 pub(super) struct AdapterArgs {
     /// `auto` for the best adapter, be it software; its index in `smr-gpu devices`, or part of its name.
     #[arg(long, default_value = "auto", value_name = "auto|INDEX|NAME")]
-    #[arg(allow_negative_numbers = true)]
+    #[arg(value_parser = known::<Device>, allow_negative_numbers = true)]
     device: Device,
 }
 
@@ -80,7 +81,7 @@ pub(super) struct NetworkArgs {
 
     /// How a GPU stores maps and weights: `f16` takes half the memory and is less exact. A picture that
     /// overflows it is looked at again in f32, which a line on stderr says.
-    #[arg(long, value_name = "f32|f16")]
+    #[arg(long, value_name = "f32|f16", value_parser = known::<Precision>)]
     precision: Option<Precision>,
 
     /// Longest wait for one picture on a GPU, in seconds.
@@ -194,10 +195,31 @@ pub(super) fn input_size(text: &str) -> Result<usize, String> {
     size.ok_or_else(|| format!("expected {}", ModelConfig::INPUT_SIZES))
 }
 
-/// Parses a number from 0 to 1.
+/// Parses a number of a range.
 ///
 /// # Errors
 /// In words, also for NaN.
+pub(super) fn number(text: &str, [least, most]: [f64; 2]) -> Result<f64, String> {
+    // A NaN is in no range.
+    let value = text.parse().ok().filter(|value| (least..=most).contains(value));
+    value.ok_or_else(|| format!("expected a number from {least} to {most}"))
+}
+
+/// Parses what the library has names for, a device for one.
+///
+/// # Errors
+/// In words, without the library's name of the option.
+pub(super) fn known<T: FromStr<Err = Error>>(text: &str) -> Result<T, String> {
+    text.parse().map_err(|e| match e {
+        Error::Param { expected, got, .. } => format!("expected {expected}, got {got}"),
+        other => other.to_string(),
+    })
+}
+
+/// Parses a number from 0 to 1.
+///
+/// # Errors
+/// As [`number`].
 pub(super) fn fraction(text: &str) -> Result<f32, String> {
     exact_fraction(text).map(|value| value as f32)
 }
@@ -207,9 +229,7 @@ pub(super) fn fraction(text: &str) -> Result<f32, String> {
 /// # Errors
 /// As [`fraction`].
 pub(super) fn exact_fraction(text: &str) -> Result<f64, String> {
-    // A NaN is in no range.
-    let value = text.parse().ok().filter(|value| (0.0..=1.0).contains(value));
-    value.ok_or_else(|| "expected a number from 0 to 1".to_owned())
+    number(text, [0.0, 1.0])
 }
 
 impl AdapterArgs {

@@ -14,7 +14,7 @@ use smr_gpu::files::{self, Outputs};
 use smr_gpu::{Detection, Detections};
 
 use super::exit::{Exit, Failure};
-use super::source::Source;
+use super::source::{Source, shown};
 
 pub(super) const FONT: &[u8] = include_bytes!("../../assets/font/DejaVuSans-Bold.ttf");
 
@@ -229,7 +229,7 @@ impl Gallery {
         picture: &RgbImage,
     ) -> Result<(), Failure> {
         let stem = match source {
-            Source::File(path) => path.file_stem().map(|s| s.to_string_lossy().into_owned()),
+            Source::File(path) => path.file_stem().map(shown),
             Source::Stdin => Some("stdin".into()),
         };
         let path = self.free_name(outputs, stem.unwrap_or_else(|| "picture".into()))?;

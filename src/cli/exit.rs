@@ -51,7 +51,7 @@ impl Failure {
 
     /// An error of the library about one input.
     pub fn about(input: impl Display, error: &Error) -> Self {
-        Self::new(exit_of(error), format!("{input}: {error}"))
+        Self::new(exit_of(error), format!("{input}: {}", as_typed(error)))
     }
 
     /// Tells the user at once: to close a device that hangs takes its time.
@@ -87,7 +87,34 @@ impl From<files::Error> for Failure {
 
 impl From<Error> for Failure {
     fn from(error: Error) -> Self {
-        Self::new(exit_of(&error), error)
+        Self::new(exit_of(&error), as_typed(&error))
+    }
+}
+
+/// What the library calls what an option sets, by the part that refuses it, and the option.
+const OPTIONS: [(&str, &str, &str); 12] = [
+    ("detect", "classes", "--class"),
+    ("detect", "device", "--device"),
+    ("detect", "input_size", "--size"),
+    ("detect", "iou", "--iou"),
+    ("detect", "max_detections", "--max-det"),
+    ("detect", "precision", "--precision"),
+    ("detect", "score", "--conf"),
+    ("compare", "device", "--device"),
+    ("check", "operation", "NAME"),
+    ("check", "kernel", "--kernel"),
+    ("check", "case", "--case"),
+    ("tradeoff", "max_shift_mm", "--max-shift-mm"),
+];
+
+/// An error of the library, with the option where it is about one: its own names nobody typed.
+pub(super) fn as_typed(error: &Error) -> String {
+    let Error::Param { op, param, expected, got } = error else { return error.to_string() };
+    let option = OPTIONS.iter().find(|(part, name, _)| part == op && name == param);
+    match option {
+        Some((.., option)) => format!("{option}: expected {expected}, got {got}"),
+        None if op == "tradeoff" => format!("{param}: expected {expected}, got {got}"),
+        None => error.to_string(),
     }
 }
 

@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::exit::{Exit, Failure};
 use super::printable::printable;
+use super::source::shown;
 use super::stdout;
 
 /// Tells the user something on stderr, in one line.
@@ -18,7 +19,7 @@ pub(super) fn tell(message: impl Display) {
 
 /// A folder's own name, after which what is written of it is called, also where the path ends with `.` or `..`.
 pub(super) fn folder_name(path: &Path) -> String {
-    let name = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
+    let name = |path: &Path| path.file_name().map(shown);
     name(path).or_else(|| name(&path.canonicalize().ok()?)).unwrap_or_default()
 }
 

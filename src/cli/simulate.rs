@@ -1,6 +1,6 @@
 //! `smr-gpu simulate`: data sets of simulated pictures.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Once};
 
 use clap::ValueEnum;
@@ -58,14 +58,14 @@ pub(super) struct Args {
     /// `smr-gpu calibrate` writes. Frame, gel, scale, distortion and, if the file has them, light, markers
     /// and the untouched gel's picture are the sensor's. Plain conditions draw all else weakly, but for the
     /// lights' colour, which is grey on some sensors and strong on others.
-    #[arg(long, value_name = "NAME|FILE", value_parser = sensor)]
+    #[arg(long, value_name = "NAME|FILE", value_parser = drawable)]
     sensor: Option<Sensor>,
 
-    /// Narrow what is no snap to one kind (wide conditions).
+    /// Narrow what is no snap to one kind (wide conditions, or a sensor's).
     #[arg(long, value_enum)]
     part: Option<Part>,
 
-    /// Set conditions for all pictures, KEY or KEY=VALUE, separated by commas (wide conditions).
+    /// Set conditions for all pictures, KEY or KEY=VALUE, separated by commas (wide conditions, or a sensor's).
     ///
     /// Numbers may be ranges, as in strength=2..4; of yes and no the name alone is yes.
     ///
@@ -111,6 +111,26 @@ enum Conditions {
     Plain,
     /// Sensors of many kinds: frames, fields of 10 to 60 mm, lamps, shadows, markers, look-alikes.
     Wide,
+}
+
+/// A sensor whose frames have a size to draw.
+///
+/// # Errors
+/// In words.
+fn drawable(text: &str) -> Result<Sensor, String> {
+    let has_frame = |sensor: &Sensor| sensor.frame.is_some();
+    let names = || {
+        let drawn = |name: &&str| Sensor::named(name).is_some_and(|sensor| has_frame(&sensor));
+        Sensor::NAMES.into_iter().filter(drawn).collect::<Vec<_>>().join(", ")
+    };
+    if Sensor::named(text).is_none() && !Path::new(text).exists() {
+        return Err(format!("expected {} or a file", names()));
+    }
+    let sensor = sensor(text)?;
+    match has_frame(&sensor) {
+        true => Ok(sensor),
+        false => Err(format!("expected {}, or a file that states a `frame` to draw", names())),
+    }
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {

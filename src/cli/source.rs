@@ -1,8 +1,11 @@
 //! What `detect` and `compare` are pointed at: files, folders, patterns, stdin.
 
-use std::fmt;
+use std::ffi::OsStr;
+use std::fmt::{self, Write};
 use std::path::{Path, PathBuf};
 
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
 use smr_gpu::picture::{ENDINGS, has_ending};
 
 use super::exit::{Exit, Failure};
@@ -19,7 +22,7 @@ pub(super) enum Source {
 impl fmt::Display for Source {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::File(path) => path.display().fmt(f),
+            Self::File(path) => f.pad(&shown(path.as_os_str())),
             Self::Stdin => f.pad("-"),
         }
     }
@@ -32,6 +35,47 @@ impl From<&Path> for Source {
             false => Self::File(argument.into()),
         }
     }
+}
+
+impl Source {
+    /// [`base64`] of the file's name.
+    pub fn base64(&self) -> Option<String> {
+        match self {
+            Self::File(path) => base64(path.as_os_str()),
+            Self::Stdin => None,
+        }
+    }
+}
+
+/// A name as text. In one that is no Unicode what is none comes as `\xNN`, and a backslash doubled: two such
+/// names do not become one.
+pub(super) fn shown(name: &OsStr) -> String {
+    if let Some(name) = name.to_str() {
+        return name.to_owned();
+    }
+    let mut text = String::new();
+    for chunk in name.as_encoded_bytes().utf8_chunks() {
+        text += &chunk.valid().replace('\\', "\\\\");
+        for byte in chunk.invalid() {
+            // Writing to a string does not fail.
+            let _ = write!(text, "\\x{byte:02x}");
+        }
+    }
+    text
+}
+
+/// For `--json`, the bytes of a name that is no Unicode, in base64: on Windows, where names are of 16-bit
+/// units, those, little end first. `None` for all other names.
+pub(super) fn base64(name: &OsStr) -> Option<String> {
+    if name.to_str().is_some() {
+        return None;
+    }
+    #[cfg(windows)]
+    let bytes: Vec<u8> =
+        std::os::windows::ffi::OsStrExt::encode_wide(name).flat_map(u16::to_le_bytes).collect();
+    #[cfg(not(windows))]
+    let bytes = name.as_encoded_bytes();
+    Some(BASE64_STANDARD.encode(bytes))
 }
 
 /// What all of a command's arguments name. What cannot be read is told; then the exit code is
@@ -73,11 +117,14 @@ fn expand(argument: &Path) -> Vec<Result<Source, String>> {
     if argument.is_dir() {
         return folder(argument);
     }
-    let text = argument.to_string_lossy();
     // A link that leads nowhere is there, too.
     let is_there = argument.symlink_metadata().is_ok();
+    let text = shown(argument.as_os_str());
     if !is_there && text.contains(['*', '?', '[']) {
-        return pattern(&text);
+        return match argument.to_str() {
+            Some(text) => pattern(text),
+            None => vec![Err(format!("{text}: expected a pattern in UTF-8, got another"))],
+        };
     }
     // Reading tells why a file cannot be read.
     vec![Ok(source)]
@@ -128,4 +175,25 @@ fn pattern(text: &str) -> Vec<Result<Source, String>> {
         sources.push(Err(message));
     }
     sources
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::os::unix::ffi::OsStrExt;
+
+    use super::*;
+
+    #[test]
+    fn names_that_are_no_unicode_stay_apart() {
+        let of = |bytes| {
+            let name = OsStr::from_bytes(bytes);
+            (shown(name), base64(name))
+        };
+        assert_eq!(of(b"a\\b.png"), ("a\\b.png".into(), None));
+        assert_eq!(of(b"a\xff.png"), ("a\\xff.png".into(), Some("Yf8ucG5n".into())));
+        assert_eq!(of(b"a\xfe.png"), ("a\\xfe.png".into(), Some("Yf4ucG5n".into())));
+        assert_eq!(of(b"\\xff\xff").0, "\\\\xff\\xff");
+        // A letter that is cut off.
+        assert_eq!(of(b"\xc3\xbc\xc3").0, "ü\\xc3");
+    }
 }

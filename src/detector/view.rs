@@ -342,7 +342,7 @@ mod tests {
     fn a_lens_bends_the_gel_alone_as_in_the_whole_frame() {
         let text = r#"{ "name": "lens", "frame": [800, 600], "mm_per_pixel": 0.05, "distortion": -0.1,
             "gel": { "x": 300, "y": 100, "width": 400, "height": 400 } }"#;
-        let sensor = Sensor::parse(text).expect("a sensor");
+        let sensor = Sensor::parse(&format!("\u{feff}{text}")).expect("a sensor after a mark");
         let known = Known { sensor: Some(&sensor), ..Known::default() };
         let (whole, alone) = (seen([800, 600], known), seen([200, 200], known));
         let (in_frame, in_gel) = (whole.place_mm([680.0, 140.0]), alone.place_mm([190.0, 20.0]));

@@ -4,11 +4,15 @@
 //! file (a folder, a pipe, a device, a socket) is named and refused, not opened: a pipe would wait
 //! for its other end, a device may never end.
 
+#[cfg(feature = "simulator")]
+mod lock;
 mod read;
 #[cfg(feature = "simulator")]
 mod write;
 
-pub use read::{open, read, read_open};
+#[cfg(feature = "simulator")]
+pub use lock::{Lock, lock};
+pub use read::{open, read, read_open, text};
 #[cfg(feature = "simulator")]
 pub use write::{Error, Outputs, check, remove_unfinished, write};
 

@@ -49,6 +49,21 @@ pub fn read_open(file: &File, length: u64, limit: u64) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
+/// A file's bytes as text, without the byte order mark that some editors put before it.
+///
+/// # Errors
+/// [`ErrorKind::InvalidData`] for what is no UTF-8; UTF-16 is named, since a shell may write it unasked.
+pub fn text(bytes: &[u8]) -> Result<&str> {
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    std::str::from_utf8(bytes).map_err(|e| {
+        let got = match bytes {
+            [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => "UTF-16".to_owned(),
+            _ => format!("something else from byte {} on", e.valid_up_to()),
+        };
+        Error::new(ErrorKind::InvalidData, format!("expected text in UTF-8, got {got}"))
+    })
+}
+
 fn check(metadata: &Metadata) -> Result<()> {
     match kind(metadata.file_type()) {
         None => Ok(()),
@@ -89,6 +104,20 @@ mod tests {
         let message = read(folder.path(), 5).expect_err("a folder").to_string();
         assert_eq!(message, "expected a file, got a folder");
         assert!(read(&folder.path().join("gone"), 5).is_err());
+    }
+
+    #[test]
+    fn text_is_utf_8_with_or_without_a_mark() {
+        assert_eq!(text(b"{}").expect("text"), "{}");
+        assert_eq!(text("\u{feff}µ".as_bytes()).expect("text"), "µ");
+        for (bytes, got) in [
+            (&b"\xff\xfe{\0}\0"[..], "UTF-16"),
+            (b"\xfe\xff\0{\0}", "UTF-16"),
+            (b"ab\xff", "something else from byte 2 on"),
+        ] {
+            let message = text(bytes).expect_err("no text").to_string();
+            assert_eq!(message, format!("expected text in UTF-8, got {got}"));
+        }
     }
 
     #[cfg(unix)]

@@ -11,6 +11,8 @@ use std::fs::{self, File, Metadata};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
+use tempfile::NamedTempFile;
+
 use super::kind;
 
 /// Names of files that are not yet whole begin and end so; a run that is killed leaves one.
@@ -130,16 +132,8 @@ fn write_with(
 ) -> Result<(), Error> {
     let replaced = replaced(path)?;
     let failed = |source| Error::Io { path: path.to_owned(), source };
-    let folder = match path.parent() {
-        Some(parent) if parent != Path::new("") => parent,
-        _ => Path::new("."),
-    };
-    // With the mode of any new file. It is removed when it is dropped before it has its name.
-    let mut file = tempfile::Builder::new()
-        .prefix(UNFINISHED[0])
-        .suffix(UNFINISHED[1])
-        .make_in(folder, |path| File::create_new(path))
-        .map_err(failed)?;
+    let folder = folder_of(path);
+    let mut file = unfinished(folder).map_err(failed)?;
     if let Some(replaced) = replaced {
         file.as_file().set_permissions(replaced.permissions()).map_err(failed)?;
     }
@@ -147,6 +141,21 @@ fn write_with(
     file.as_file().sync_all().map_err(failed)?;
     file.persist(path).map_err(|e| failed(e.error))?;
     sync_folder(folder).map_err(failed)
+}
+
+pub(super) fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if parent != Path::new("") => parent,
+        _ => Path::new("."),
+    }
+}
+
+/// A new file of a random name, with the mode of any new file. It is removed when it is dropped before it has
+/// its own name.
+pub(super) fn unfinished(folder: &Path) -> io::Result<NamedTempFile<File>> {
+    let [prefix, suffix] = UNFINISHED;
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(prefix).suffix(suffix).make_in(folder, |path| File::create_new(path))
 }
 
 /// The file that an output of this name replaces.
@@ -205,22 +214,40 @@ fn is_unfinished(name: &OsStr) -> bool {
 
 /// What tells a file from others, whatever its names: hard links share it, and links lead to it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-struct FileId {
+pub(super) struct FileId {
     device: u64,
     index: u64,
 }
 
 impl FileId {
     #[cfg(unix)]
-    fn of(path: &Path) -> io::Result<Self> {
+    pub fn of(path: &Path) -> io::Result<Self> {
+        fs::metadata(path).map(|found| Self::told(&found))
+    }
+
+    #[cfg(unix)]
+    pub fn of_open(file: &File) -> io::Result<Self> {
+        file.metadata().map(|found| Self::told(&found))
+    }
+
+    #[cfg(unix)]
+    fn told(found: &Metadata) -> Self {
         use std::os::unix::fs::MetadataExt;
-        let found = fs::metadata(path)?;
-        Ok(Self { device: found.dev(), index: found.ino() })
+        Self { device: found.dev(), index: found.ino() }
     }
 
     #[cfg(windows)]
-    fn of(path: &Path) -> io::Result<Self> {
-        let handle = winapi_util::Handle::from_path_any(path)?;
+    pub fn of(path: &Path) -> io::Result<Self> {
+        Self::told(winapi_util::Handle::from_path_any(path)?)
+    }
+
+    #[cfg(windows)]
+    pub fn of_open(file: &File) -> io::Result<Self> {
+        Self::told(winapi_util::HandleRef::from_file(file))
+    }
+
+    #[cfg(windows)]
+    fn told(handle: impl winapi_util::AsHandleRef) -> io::Result<Self> {
         let found = winapi_util::file::information(handle)?;
         Ok(Self { device: found.volume_serial_number(), index: found.file_index() })
     }

@@ -13,8 +13,8 @@
 
 use std::collections::{BTreeSet, HashSet};
 use std::ffi::OsStr;
-use std::fs::{self, File, OpenOptions, TryLockError};
-use std::io::{self, ErrorKind, Read, Write};
+use std::fs::{self, File};
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -25,6 +25,7 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use rayon::prelude::*;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use serde_json::ser::{CompactFormatter, Formatter};
 
 use super::Error;
 use super::conditions::{Conditions, Distribution};
@@ -208,7 +209,7 @@ pub fn simulate(
         files::write(&image, &png)?;
         let picture_bytes = png.len() as u64;
         let sidecar = Sidecar { scene_seed, frame, conditions, picture_bytes, snaps };
-        write_json(&label_path(&labels, i), &sidecar)?;
+        write_rounded(&label_path(&labels, i), &sidecar)?;
         let done = 1 + done.fetch_add(1, Ordering::Relaxed);
         progress(Progress { step: Step::Render, done, all });
         Ok::<(), Error>(())
@@ -247,26 +248,10 @@ fn label_index(name: &OsStr) -> Option<usize> {
 
 /// Takes the folder for this process, until the file is dropped.
 fn lock(folder: &Path) -> Result<File, Error> {
-    let path = folder.join(LOCK);
-    files::check(&path)?;
-    let io = |e| Error::io(&path)(e);
-    let mut options = OpenOptions::new();
-    options.read(true).write(true).create(true).truncate(false);
-    let mut file = options.open(&path).map_err(io)?;
-    match file.try_lock() {
-        Ok(()) => {}
-        Err(TryLockError::WouldBlock) => {
-            // Windows lets nobody read what another has locked.
-            let mut text = String::new();
-            let read = file.take(16).read_to_string(&mut text);
-            let holder = read.ok().and_then(|_| text.trim().parse().ok());
-            return Err(Error::Busy { path: folder.to_owned(), holder });
-        }
-        Err(TryLockError::Error(e)) => return Err(io(e)),
+    match files::lock(&folder.join(LOCK))? {
+        files::Lock::Held(file) => Ok(file),
+        files::Lock::Busy(holder) => Err(Error::Busy { path: folder.to_owned(), holder }),
     }
-    // In place: a lock is on the file, not on its name.
-    file.set_len(0).and_then(|()| writeln!(file, "{}", std::process::id())).map_err(io)?;
-    Ok(file)
 }
 
 /// Whether the folder holds a data set of these settings; if not, nothing there may have a name
@@ -282,6 +267,13 @@ fn check_origin(settings: &Settings) -> Result<bool, Error> {
     // Annotations are written at the very end.
     for file in [&path, &settings.out.join(ANNOTATIONS)] {
         files::check(file)?;
+    }
+    for folder in [settings.images(), settings.labels()] {
+        // Pictures would go to wherever it leads.
+        if fs::symlink_metadata(&folder).is_ok_and(|found| found.is_symlink()) {
+            let (expected, found) = ("a folder of its own".into(), "a symbolic link".into());
+            return Err(Error::Content { path: folder, expected, found });
+        }
     }
     if is_there(&path)? {
         let found: Origin = read_json(&path)?;
@@ -418,6 +410,28 @@ fn other_sensor(found: &Origin, wanted: &Origin) -> String {
 fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
     let text = serde_json::to_vec(value).map_err(|e| Error::io(path)(e.into()))?;
     Ok(files::write(path, &text)?)
+}
+
+/// [`write_json`] with ten digits of each number, less than anything there is known to.
+fn write_rounded(path: &Path, value: &impl Serialize) -> Result<(), Error> {
+    Ok(files::write(path, &rounded_json(value).map_err(|e| Error::io(path)(e.into()))?)?)
+}
+
+fn rounded_json(value: &impl Serialize) -> serde_json::Result<Vec<u8>> {
+    let mut text = Vec::new();
+    value.serialize(&mut serde_json::Serializer::with_formatter(&mut text, Digits))?;
+    Ok(text)
+}
+
+/// Ten digits: how transforms and the system's functions round beyond them depends on the machine, on whether it
+/// fuses multiply-adds for one.
+struct Digits;
+
+impl Formatter for Digits {
+    fn write_f64<W: ?Sized + io::Write>(&mut self, writer: &mut W, value: f64) -> io::Result<()> {
+        let value = format!("{value:.9e}").parse().unwrap_or(value);
+        CompactFormatter.write_f64(writer, value)
+    }
 }
 
 fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, Error> {
@@ -562,6 +576,43 @@ fn write_annotations(settings: &Settings, labels: &Path) -> Result<usize, Error>
             });
         }
     }
-    write_json(&settings.out.join(ANNOTATIONS), &coco)?;
+    write_rounded(&settings.out.join(ANNOTATIONS), &coco)?;
     Ok(coco.annotations.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// With and without fused multiply-adds a sum may differ in its last bits.
+    #[test]
+    fn labels_do_not_have_the_last_bits_of_their_numbers() {
+        let area = 1234.5678;
+        let written = |area_px: f64| {
+            let label = Label {
+                kind: Kind::A,
+                pixel_box: [0.1 + 0.2, 1e-12, 640.0, area_px / 10.0],
+                area_px,
+                yaw_deg: Some(area_px / 100.0),
+                depth_mm: 1.0 / 3.0,
+                center_mm: [-area_px, 0.0],
+                whole: true,
+                visible: 1.0,
+                slots: None,
+                hole_mm: None,
+                wall: false,
+                on_side: false,
+            };
+            String::from_utf8(rounded_json(&label).expect("JSON")).expect("text")
+        };
+        let text = written(area);
+        assert!(text.contains("[0.3,1e-12,640.0,123.45678],\"area_px\":1234.5678,"), "{text}");
+        assert!(
+            text.contains("\"depth_mm\":0.3333333333,\"center_mm\":[-1234.5678,0.0]"),
+            "{text}"
+        );
+        let fused = f64::from_bits(area.to_bits() + 3);
+        assert_ne!(fused, area);
+        assert_eq!(written(fused), text);
+    }
 }

@@ -121,7 +121,7 @@ def stated(image: dict, sizes: set[tuple[int, int]]) -> tuple[float, list[int]]:
 
 def read_coco(folder: Path) -> list[Entry]:
     """A folder's pictures in the order of its file."""
-    coco = json.loads((folder / "annotations.json").read_text())
+    coco = json.loads((folder / "annotations.json").read_text(encoding="utf-8-sig"))
     label = {c["id"]: CLASSES.index(c["name"].upper()) + 1 for c in coco["categories"] if c["name"].upper() in CLASSES}
     found: dict[int, list] = {image["id"]: [] for image in coco["images"]}
     for annotation in coco["annotations"]:
@@ -147,5 +147,7 @@ def read_coco(folder: Path) -> list[Entry]:
 
 
 def picture_path(folder: Path, name: str) -> Path:
-    """A COCO file name is relative to the folder or to its images/."""
-    return folder / name if (folder / name).exists() else folder / "images" / name
+    """A COCO file name is relative to the folder or to its images/; backslashes separate folders where no file has them in its name."""
+    names = (name, name.replace("\\", "/"))
+    places = [place / each for each in names for place in (folder, folder / "images")]
+    return next((place for place in places if place.exists()), folder / "images" / name)

@@ -9,7 +9,6 @@ were planned since which step, and at which step each folder came; `--plan` repe
 
 import argparse
 import ctypes
-import glob
 import json
 import os
 import time
@@ -25,6 +24,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+import folders
 import weightfile
 from distill import Distiller
 from learner import Learner, measure_statistics, network_views, rate, to_learn
@@ -76,7 +76,7 @@ class Run:
             self.take_up(folder)
         self.find_folders()
         while not len(self.pool):
-            self.log("waiting for a complete training folder")
+            self.log(f"waiting for a complete training folder, with annotations.json: {' '.join(args.data)}")
             time.sleep(10)
             self.find_folders()
         torch.manual_seed(args.seed)
@@ -125,13 +125,12 @@ class Run:
         """Takes up folders that were finished since the last look."""
         have = {folder for _, folder in self.timeline}
         planned = {name: step for step, name in self.plan["data"]}
-        for pattern in self.args.data:
-            for folder in sorted(glob.glob(str(pattern))):
-                due = planned.get(Path(folder).name, self.step + bool(planned)) <= self.step
-                if due and folder not in have and (Path(folder) / "annotations.json").exists():
-                    count = self.take_up(folder)
-                    self.timeline.append([self.step, folder])
-                    self.log(f"data: {folder}, {count} pictures, from step {self.step}")
+        for folder in folders.found(self.args.data):
+            due = planned.get(Path(folder).name, self.step + bool(planned)) <= self.step
+            if due and folder not in have:
+                count = self.take_up(folder)
+                self.timeline.append([self.step, folder])
+                self.log(f"data: {folder}, {count} pictures, from step {self.step}")
 
     def log(self, text: str) -> None:
         print(f"{time.strftime('%H:%M:%S')} {text}", flush=True)
@@ -246,6 +245,8 @@ def arguments() -> argparse.Namespace:
         parser.error(f"{args.out} holds a run: give --resume to go on with it")
     if not args.data or not (args.steps or args.plan):
         parser.error("give --data, and --steps or --plan")
+    folders.refuse_missing("--data", args.data)
+    folders.refuse_missing("--val", [str(folder) for folder in args.val])
     if args.keep_statistics and not args.init:
         parser.error("--keep-statistics: give the --init file whose statistics they are")
     if args.init and (args.like or args.no_safe or args.no_msff or args.no_rw):

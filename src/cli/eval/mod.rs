@@ -22,7 +22,7 @@ use super::draw::Gallery;
 use super::exit::{Exit, Failure, told};
 use super::output::{folder_name, json_line, tell};
 use super::picture;
-use super::source::Source;
+use super::source::{Source, base64, shown};
 
 /// Longest annotations.json: COCO's own of 118 thousand pictures is half as long.
 const MAX_ANNOTATIONS: u64 = 1 << 30;
@@ -147,6 +147,8 @@ struct Paper {
 #[derive(Serialize)]
 struct Report {
     data: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    data_base64: Option<String>,
     pictures: usize,
     failed: usize,
     conf: f32,
@@ -168,13 +170,14 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let nms_iou = config.iou;
     let mut outputs = Outputs::default();
     args.detector.network.spare(&mut outputs, &config);
+    each_once(&args.data)?;
     let detector = detector::open(config)?;
     let classes = detector.model().classes.clone();
     // All labels first: a mistake in the last folder's costs no hour.
     let labels = args.data.iter().map(|folder| {
         let mut pictures = read_labels(folder, &classes, &mut outputs)?;
         pictures.truncate(args.limit.map_or(usize::MAX, |n| n as usize));
-        Ok((folder.display().to_string(), pictures))
+        Ok((shown(folder.as_os_str()), pictures))
     });
     let labels = labels.collect::<Result<Vec<_>, Failure>>()?;
     let mut gallery = args.save.as_deref().map(Gallery::create).transpose()?;
@@ -192,6 +195,10 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         let figures = figures(&set.seen, &every, conf);
         Report {
             data: set.name.clone(),
+            data_base64: args.data.iter().find_map(|folder| {
+                let is_this = shown(folder.as_os_str()) == set.name;
+                base64(folder.as_os_str()).filter(|_| is_this)
+            }),
             pictures: set.seen.len(),
             failed: set.failed,
             conf: args.conf,
@@ -266,6 +273,21 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     Ok(together.exit)
 }
 
+/// Refuses folders of which two are one, by whatever names: its pictures would count twice.
+fn each_once(folders: &[PathBuf]) -> Result<(), Failure> {
+    let mut name_of = HashMap::new();
+    for folder in folders {
+        // Reading tells of one that is not there.
+        let Ok(one) = folder.canonicalize() else { continue };
+        if let Some(other) = name_of.insert(one, folder) {
+            let [other, folder] = [other, folder].map(|path| shown(path.as_os_str()));
+            let message = format!("--data: expected each folder once, got {other} and {folder}");
+            return Err(Failure::usage(message));
+        }
+    }
+    Ok(())
+}
+
 /// Detects in all pictures of a set. Those that fail are told of and counted.
 fn look_at(
     detector: &GpuDetector,
@@ -332,8 +354,7 @@ pub(super) fn read_labels(
             let attributes = label.attributes.clone();
             snaps.push(Snap { class, truth: label.truth, attributes });
         }
-        let direct = folder.join(&picture.file);
-        let path = if direct.exists() { direct } else { folder.join("images").join(&picture.file) };
+        let path = file_of(folder, &picture);
         outputs.spare(&path);
         // One file may have two names; where there is none, reading tells.
         if let Ok(one) = path.canonicalize()
@@ -347,6 +368,15 @@ pub(super) fn read_labels(
         Ok(Labelled { source: Source::File(path), picture, snaps })
     });
     labelled.collect()
+}
+
+/// The file of a labelled picture, in its folder or `images` there; where there is none, what was looked for last.
+fn file_of(folder: &Path, picture: &Picture) -> PathBuf {
+    let images = folder.join("images");
+    let windows = picture.file_of_windows();
+    let names = std::iter::once(&picture.file).chain(&windows);
+    let mut files = names.flat_map(|name| [folder.join(name), images.join(name)]);
+    files.find(|file| file.exists()).unwrap_or_else(|| images.join(&picture.file))
 }
 
 fn look(

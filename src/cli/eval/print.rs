@@ -4,12 +4,15 @@ use smr_gpu::evaluation::{Figures, LEAST_SCORE, Third, share_within};
 
 use super::super::exit::Failure;
 use super::super::output::{count, line, tell};
+use super::super::printable::printable;
 use super::{Labelled, Paper, Report};
 
 /// Prints the table by class of one set.
 pub(super) fn classes(report: &Report) -> Result<(), Failure> {
+    let names = report.classes.iter().map(|row| printable(&row.class));
+    let w = names.map(|name| name.chars().count()).max().unwrap_or(0).max(8);
     line(format!(
-        "{:<8} {:>6} {:>19} {:>19} {:>10} {:>11} {:>9} {:>7} {:>7} {:>7} {:>7}",
+        "{:<w$} {:>6} {:>19} {:>19} {:>10} {:>11} {:>9} {:>7} {:>7} {:>7} {:>7}",
         "class",
         "snaps",
         "IoU, %",
@@ -25,8 +28,8 @@ pub(super) fn classes(report: &Report) -> Result<(), Failure> {
     for row in report.classes.iter().chain([&report.all]) {
         let Figures { center_error_mm, yaw_error_deg, interval_95, .. } = &row.figures;
         line(format!(
-            "{:<8} {:>6} {:>19} {:>19} {:>10} {:>11} {:>9} {:>7} {:>7} {:>7} {:>7}",
-            row.class,
+            "{:<w$} {:>6} {:>19} {:>19} {:>10} {:>11} {:>9} {:>7} {:>7} {:>7} {:>7}",
+            printable(&row.class),
             row.figures.snaps,
             percent(row.figures.mean_best_iou, interval_95.mean_best_iou),
             percent(row.figures.ap50, interval_95.ap50),
@@ -40,7 +43,7 @@ pub(super) fn classes(report: &Report) -> Result<(), Failure> {
         ))?;
         if let Some(Paper { mean_iou, map }) = &row.paper {
             let (iou, map) = (percent(Some(*mean_iou), None), percent(Some(*map), None));
-            line(format!("{:<8} {:>6} {iou:>19} {map:>19}", "  paper", ""))?;
+            line(format!("{:<w$} {:>6} {iou:>19} {map:>19}", "  paper", ""))?;
         }
     }
     Ok(())

@@ -17,9 +17,9 @@ use smr_gpu::{Config, Device};
 pub(super) use peak::{Args as PeakArgs, run as run_peak};
 pub(super) use setups::configured;
 
-use super::detector::{DetectorArgs, exact_fraction, open_gpu};
+use super::detector::{DetectorArgs, exact_fraction, known, number, open_gpu};
 use super::eval::read_labels;
-use super::exit::{Exit, Failure};
+use super::exit::{Exit, Failure, as_typed};
 use super::output::{line, tell};
 
 /// Measure error against run time of the ways to run the networks here
@@ -73,7 +73,7 @@ pub(super) struct Args {
     /// The adapter to measure beside the CPU: `auto` for the best, be it software; its index in
     /// `smr-gpu devices`, or part of its name; `cpu` for none.
     #[arg(long, default_value = "auto", value_name = "auto|INDEX|NAME|cpu")]
-    #[arg(allow_negative_numbers = true)]
+    #[arg(value_parser = known::<Device>, allow_negative_numbers = true)]
     device: Device,
 }
 
@@ -87,8 +87,9 @@ pub(super) const SHIFT_MM: f64 = 0.1;
 /// # Errors
 /// In words.
 pub(super) fn millimetres(text: &str) -> Result<f64, String> {
-    let value = text.parse().ok().filter(|mm| (0.0..=1000.0).contains(mm));
-    value.ok_or_else(|| "expected a number of millimetres from 0 to 1000".to_owned())
+    let [least, most] = [0.0, 1000.0];
+    number(text, [least, most])
+        .map_err(|_| format!("expected a number of millimetres from {least} to {most}"))
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
@@ -159,7 +160,7 @@ fn recommendation(table: &Table, limit: Limit) -> String {
             row.wall_ms.median,
             row.shift_mm()
         ),
-        Err(e) => format!("None with {asked}: {e}"),
+        Err(e) => format!("None with {asked}: {}", as_typed(&e)),
     }
 }
 
@@ -174,7 +175,7 @@ fn classes_of(weights: &Path) -> Result<Vec<String>, Failure> {
 /// # Errors
 /// [`Exit::Usage`] for a table without a setup that fits, or that was measured elsewhere.
 pub(super) fn chosen(table: &Path, limit: Limit, given: &DetectorArgs) -> Result<Config, Failure> {
-    let usage = |e: smr_gpu::Error| Failure::usage(format!("--tradeoff: {e}"));
+    let usage = |e: smr_gpu::Error| Failure::usage(format!("--tradeoff: {}", as_typed(&e)));
     let table = Table::open(table).map_err(usage)?;
     let setup = &table.choose(limit).map_err(usage)?.setup;
     let given = given.config_with(setups::weights_of(setup)?)?;

@@ -38,7 +38,7 @@ pub const FOLDS: usize = 6;
 /// Radii of balls in millimetres.
 pub const BALL_MM: [f64; 2] = [0.2, 20.0];
 /// Least and greatest scale: the longest field on the widest picture, the shortest on 16 pixels.
-const MM_PER_PIXEL: [f64; 2] = [5e-4, 1.0];
+pub const MM_PER_PIXEL: [f64; 2] = [5e-4, 1.0];
 /// The contact's radius over that of the ball's outline where it is found in the picture: what the
 /// table beside tests/data/gelsight_ball_presses has over what is found there, 62 of 67.5 pixels.
 const CONTACT: f64 = 0.92;
@@ -287,12 +287,11 @@ fn open(path: &Path) -> Result<RgbImage, Error> {
 
 fn read_text(path: &Path) -> Result<String, Error> {
     let bytes = files::read(path, MAX_TEXT).map_err(Error::io(path))?;
-    String::from_utf8(bytes).map_err(|e| Error::Content {
-        path: path.to_owned(),
-        expected: "text".to_owned(),
-        found: e.to_string(),
-    })
+    files::text(&bytes).map(str::to_owned).map_err(Error::io(path))
 }
+
+/// The table as spreadsheets write it, too: cells in quotes or among blanks, with semicolons or tabs between them
+/// and then perhaps commas in numbers, empty cells and lines at the end.
 
 fn read_presses(folder: &Path, path: &Path, background: &RgbImage) -> Result<Vec<Press>, Error> {
     let text = read_text(path)?;
@@ -303,18 +302,32 @@ fn read_presses(folder: &Path, path: &Path, background: &RgbImage) -> Result<Vec
     };
     let mut presses = Vec::new();
     let wanted = "file,center_x_px,center_y_px,contact_radius_px";
-    let mut lines = text.lines();
-    // A table without its header would lose its first press.
-    let header = lines.next().unwrap_or_default();
-    if header.trim() != wanted {
-        return Err(bad(path, &format!("the header {wanted}"), header));
-    }
-    for line in lines.filter(|line| !line.is_empty()) {
-        let fields: Vec<&str> = line.split(',').collect();
-        let [file, x, y, radius] = fields[..] else {
+    let first = text.lines().next().unwrap_or_default();
+    let between = [';', '\t'].into_iter().find(|c| first.contains(*c)).unwrap_or(',');
+    let mut reader = csv::ReaderBuilder::new();
+    reader.has_headers(false).flexible(true).trim(csv::Trim::All).delimiter(between as u8);
+    let mut has_header = false;
+    for record in reader.from_reader(text.as_bytes()).records() {
+        let record = record.map_err(|e| bad(path, wanted, &e.to_string()))?;
+        let mut cells: Vec<&str> = record.iter().collect();
+        while cells.pop_if(|cell| cell.is_empty()).is_some() {}
+        let line = &cells.join(",");
+        // A table without its header would lose its first press.
+        if !has_header && line != wanted {
+            return Err(bad(path, &format!("the header {wanted}"), line));
+        }
+        if !has_header || cells.is_empty() {
+            has_header = true;
+            continue;
+        }
+        let [file, x, y, radius] = cells[..] else {
             return Err(bad(path, wanted, line));
         };
-        let (Ok(x), Ok(y), Ok(radius)) = (x.parse(), y.parse(), radius.parse::<f64>()) else {
+        let number = |cell: &str| match between {
+            ',' => cell.parse::<f64>(),
+            _ => cell.replace(',', ".").parse(),
+        };
+        let (Ok(x), Ok(y), Ok(radius)) = (number(x), number(y), number(radius)) else {
             return Err(bad(path, wanted, line));
         };
         let inside = |at: f64, side: u32| (0.0..f64::from(side)).contains(&at);
@@ -327,6 +340,9 @@ fn read_presses(folder: &Path, path: &Path, background: &RgbImage) -> Result<Vec
         let file = folder.join(file);
         let picture = open_press(&file, background)?;
         presses.push(Press::new(file, picture, [x, y], radius));
+    }
+    if !has_header {
+        return Err(bad(path, &format!("the header {wanted}"), "nothing"));
     }
     enough(path, &presses)?;
     Ok(presses)
@@ -483,4 +499,59 @@ fn draw(press: &Press, surface: &Surface, background: &RgbImage, shading: &Shadi
         }
     }
     picture
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_is_read_as_spreadsheets_write_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let grey = RgbImage::from_pixel(90, 80, image::Rgb([130; 3]));
+        let names = ["a.png", "b, right.png", "c.png", "d.png", "e.png", "f.png"];
+        for name in names {
+            grey.save(folder.path().join(name)).expect("saved");
+        }
+        let path = folder.path().join(TABLE);
+        let read = |text: String| {
+            std::fs::write(&path, text).expect("written");
+            let presses = read_presses(folder.path(), &path, &grey);
+            presses.map(|presses| {
+                let told = |p: &Press| (p.file.clone(), p.center_px, p.contact_radius_px);
+                presses.iter().map(told).collect::<Vec<_>>()
+            })
+        };
+        let rows = |row: &dyn Fn(&str, usize) -> String, end: &str| {
+            let rows = names.iter().enumerate().map(|(i, name)| row(name, i) + end);
+            rows.collect::<String>()
+        };
+        let head = ["file", "center_x_px", "center_y_px", "contact_radius_px"];
+        let plain = rows(&|name, i| format!("\"{name}\",{i}.5,20,12.25"), "\n");
+        let want = read(format!("{}\n{plain}", head.join(","))).expect("presses");
+        assert_eq!(want[1], (folder.path().join("b, right.png"), [1.5, 20.0], 12.25));
+        let semicolons = rows(&|name, i| format!("{name};{i},5;20;12,25"), "\r\n");
+        let tabs = rows(&|name, i| format!("{name}\t{i}.5\t20\t\"12,25\""), "\n");
+        let blanks = rows(&|name, i| format!("\"{name}\" , {i}.5 ,20, 12.25"), "\n");
+        for (what, text) in [
+            ("a mark", format!("\u{feff}{}\r\n{plain}", head.join(","))),
+            ("semicolons", format!("{}\r\n{semicolons};;;\r\n", head.join(";"))),
+            ("tabs", format!("{}\n{tabs}\n", head.join("\t"))),
+            ("blanks", format!(" {} \n\n{blanks}", head.join(" , "))),
+            ("quotes", format!("\"{}\"\n{plain}", head.join("\",\""))),
+            ("empty cells", format!("{},,\n{plain},,,\n", head.join(","))),
+        ] {
+            assert_eq!(read(text).expect(what), want, "{what}");
+        }
+        // A comma in a number between commas is two cells, and a number's digits are not grouped.
+        for (text, got) in [
+            (format!("{}\na.png,1,5,20,12\n", head.join(",")), "found a.png,1,5,20,12"),
+            (format!("{}\na.png;1.000,5;20;12\n", head.join(";")), "found a.png,1.000,5,20,12"),
+            (format!("{}\na.png,nan,20,12\n", head.join(",")), "a centre inside the picture"),
+            (String::new(), "expected the header file,center_x_px"),
+        ] {
+            let message = read(text).expect_err(got).to_string();
+            assert!(message.contains(got), "{message}");
+        }
+    }
 }

@@ -13,7 +13,7 @@ use crate::kernels::{self, Kernel, Layout, Work};
 use crate::lower::{Choice, Lowered, Request, lower};
 use crate::ops::case::WEIGHTS;
 use crate::ops::op::Tolerance;
-use crate::ops::{Case, Entry, Expected, OPS, Op, Report};
+use crate::ops::{Case, Entry, Expected, OPS, Op, Report, TopK};
 use crate::precision::Precision;
 use crate::shape::{Extent, TensorSpec};
 use crate::tensor::{Tensor, Value};
@@ -353,7 +353,38 @@ fn check_kernel(
     if kernel.batched() {
         check_batch(gpu, expected, inputs, (kernel, precision), &nan, &mut report)?;
     }
+    let in_quads = single.poisoned.iter().all(Option::is_none);
+    if in_quads && !precision.is_half() && !case.network {
+        check_planar(gpu, expected, inputs, kernel, &nan[0], &mut report)?;
+    }
     Ok(Some(report))
+}
+
+/// The next operation reads of a map what the host reads, also where it reads it planar: the highest values of
+/// the map and their places are those of `alone`.
+fn check_planar(
+    gpu: &Arc<Gpu>,
+    expected: &Expected,
+    inputs: &[Value],
+    kernel: &dyn Kernel,
+    alone: &Value,
+    report: &mut Report,
+) -> Result<()> {
+    let case = expected.case();
+    let how = (kernel.id(), Precision::F32);
+    let mut single = Single::then(gpu, &case.op, Some(HIGHEST), inputs, how, 1, true)?;
+    let got = single.run_poisoned(Poison::Nan)?;
+    for (got, want) in got.iter().zip(HIGHEST.reference(&[alone])?) {
+        let n = want.spec().shape.elements();
+        let equal = Tolerance::Each(vec![0.0; n]);
+        let differs = |i: &usize| equal.judge(got, &want, *i) != (0.0, 0.0);
+        if let Some(i) = (0..n).find(differs) {
+            let (got, want) = (got.show(i), want.show(i));
+            let what = format!("{} / {}", kernel.id(), case.name);
+            report.failures.push(format!("{what}: read planar: {got} instead of {want}"));
+        }
+    }
+    Ok(())
 }
 
 /// A picture gives the same bits whatever else is in the batch.
@@ -414,7 +445,10 @@ pub fn run_each(gpu: &Arc<Gpu>, case: &Case) -> Result<Vec<(&'static str, Vec<Va
     fitting(gpu, case, precision)?.into_iter().map(run).collect()
 }
 
-/// An operation alone on a device.
+/// What reads a map planar, and tells of its values.
+const HIGHEST: TopK = TopK { k: 1024, count: false };
+
+/// An operation alone on a device, or with one behind it.
 struct Single {
     slot: Slot,
     /// What each run is given: weights are known to the program.
@@ -436,6 +470,19 @@ impl Single {
         gpu: &Arc<Gpu>,
         op: &Arc<dyn Op>,
         inputs: &[Value],
+        how: (&str, Precision),
+        batch: u32,
+        guard: bool,
+    ) -> Result<Self> {
+        Self::then(gpu, op, None, inputs, how, batch, guard)
+    }
+
+    /// With `next`, which reads the first output, what that gives takes the outputs' place.
+    fn then(
+        gpu: &Arc<Gpu>,
+        op: &Arc<dyn Op>,
+        next: Option<TopK>,
+        inputs: &[Value],
         (kernel, precision): (&str, Precision),
         batch: u32,
         guard: bool,
@@ -454,7 +501,12 @@ impl Single {
                 }
             });
         }
-        let outputs = graph.apply_shared(op.name(), op.clone(), &ids)?;
+        let mut outputs = graph.apply_shared(op.name(), op.clone(), &ids)?;
+        let mut names = op.outputs();
+        if let Some(next) = next {
+            outputs = graph.apply(next.name(), next, &outputs[..1])?;
+            names = next.outputs();
+        }
         outputs.iter().for_each(|id| graph.mark_output(*id));
         let choice = if kernel.is_empty() { Choice::default() } else { Choice::force(kernel)? };
         let request = Request { keep: &[], batch, precision, caps: gpu.caps(), choice: &choice };
@@ -467,7 +519,6 @@ impl Single {
             let program = Program::new(gpu, &lowered, None, options).await?;
             Slot::new(&Arc::new(program)).await
         })?;
-        let names = op.outputs();
         Ok(Self { slot, given, indices, outputs, names, written, has_halves, poisoned })
     }
 

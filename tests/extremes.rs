@@ -15,7 +15,7 @@ use smr_gpu::{Config, Device, GpuDetector, Scene};
 const LOST: &[(&str, &str)] = &[
     ("conv1 past every number", "backbone.conv1"),
     ("layer 3 past every number", "backbone.layer3"),
-    ("the RoI head past every number", "roi_head.probabilities"),
+    ("the RoI head past every number", "roi_head.cls_score"),
 ];
 
 #[test]

@@ -317,6 +317,25 @@ const FAULTS: &[Fault] = &[
         by_hand: true,
     },
     Fault {
+        what: "what is read planar has three channels of four",
+        file: "convert",
+        changes: &[
+            ("fn to_planar", "fn to_planar"),
+            ("min(map.channels - q * 4u, 4u)", "min(map.channels - q * 4u, 3u)"),
+        ],
+        op: "max_pool2d",
+        case: "nine channels by hand",
+        by_hand: false,
+    },
+    Fault {
+        what: "a class is among the others that it is held against",
+        file: "decode_detections",
+        changes: &[("* params.scale), 0.0, i == own)", "* params.scale), 0.0, false)")],
+        op: "decode_detections",
+        case: "by hand",
+        by_hand: true,
+    },
+    Fault {
         what: "the deviations of width and height exchanged",
         file: "decode_detections",
         changes: &[

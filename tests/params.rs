@@ -46,6 +46,7 @@ const LEGAL: &[(&str, &str, &[&str])] = &[
     ("decode_detections", "width", &[]),
     ("decode_detections", "height", &[]),
     ("decode_detections", "weights", &["0.5"]),
+    ("decode_detections", "temperature", &["0.5"]),
     ("decode_detections", "class_mask", &["0", "4294967295"]),
     // All four sides alike are no box.
     ("decode_proposals", "anchors", &[]),

@@ -16,7 +16,7 @@ use smr_gpu::simulator::dataset;
 use smr_gpu::simulator::render::{Renderer, Request};
 use smr_gpu::simulator::scene::Mix;
 use smr_gpu::tensor::{Tensor, Value};
-use smr_gpu::{Config, Device, Error, Frame, GpuDetector, Precision, WeightSource};
+use smr_gpu::{Config, Device, Error, Frame, GpuDetector, Precision, Scene, WeightSource};
 
 /// The bound on each stage's relative L2 error on the pictures of these tests.
 const STAGE_BOUND: f64 = 1e-5;
@@ -28,6 +28,10 @@ const SCORE: f32 = 1e-4;
 const PIXELS: f32 = 0.02;
 /// Half of the last digit of a yaw that `detect` prints.
 const DEGREES: f32 = 0.05;
+/// Corners of one detection on two devices, in picture pixels: they are chosen from the same candidates and
+/// voted for by the same, so no more than rounding is between them, which comes to 1e-4. A vote that starts
+/// from another candidate moves them by a tenth.
+const SAME_CHOICE: f32 = 0.01;
 
 fn file(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
@@ -179,6 +183,39 @@ fn f16_with_planar_kernels_among_others_matches_the_f64_network() {
             let drift = stage.drift().unwrap_or(0.0);
             assert!(drift <= HALF_STAGE_BOUND, "{id}, {}: {drift:e}", stage.stage);
         }
+    }
+}
+
+/// Of one snap several candidates have scores that are equal in f32, and not to f64: the best of them is kept on
+/// every device, whatever its index.
+#[test]
+fn where_scores_are_equal_in_f32_their_logits_decide() {
+    let picture = image::open(file("samples/stud.png")).expect("a sample");
+    let mut corners: Option<[f32; 4]> = None;
+    for device in [Device::Reference, Device::Cpu, Device::Gpu(AdapterChoice::Auto)] {
+        let detector = detector(device.clone(), |c| c.scene = Scene::FULL);
+        let (found, stages) =
+            detector.detect_with_stages(&Frame::from(&picture)).expect("a detection");
+        let temperature = f64::from(detector.model().temperature);
+        let (logits, rest) = floats(&stages, "roi_head.cls_score").as_chunks::<3>();
+        assert!(rest.is_empty(), "a background and two classes");
+        // What all other classes are to each, smallest where it is surest: a share is 1 in 1 and that.
+        let others = |row: &[f32; 3], class: usize| -> f64 {
+            let to = |x: f32| (f64::from(x) - f64::from(row[class])) / temperature;
+            (0..3).filter(|c| *c != class).map(|c| to(row[c]).exp()).sum()
+        };
+        let odds: Vec<f64> =
+            logits.iter().flat_map(|row| [1, 2].map(|class| others(row, class))).collect();
+        let best = (0..odds.len()).min_by(|a, b| odds[*a].total_cmp(&odds[*b])).expect("a region");
+        let score = |i: usize| (1.0 / (1.0 + odds[i])) as f32;
+        let first = (0..odds.len()).find(|i| score(*i) == score(best));
+        assert!(first < Some(best), "{device:?}: the picture shows no such snap any more");
+        let kept = stages.iter().find(|(name, _)| name == "roi_head.nms.keep").expect("a choice");
+        assert_eq!(kept.1.u32().expect("indices").data()[0] as usize, best, "{device:?}");
+        let bbox = found.detections[0].bbox;
+        let other = *corners.get_or_insert(bbox);
+        let apart = bbox.iter().zip(other).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(apart <= SAME_CHOICE, "{device:?}: {bbox:?}, the reference {other:?}");
     }
 }
 
@@ -376,7 +413,7 @@ fn overflow_is_reported() {
     // The first is just small enough to be folded into its convolution.
     let faults = [
         ("backbone.bn1.weight", 1e37f32, "backbone.conv1"),
-        ("roi_head.fc6.bias", 3e38, "roi_head.probabilities"),
+        ("roi_head.fc6.bias", 3e38, "roi_head.cls_score"),
     ];
     for (tensor, large, witness) in faults {
         let broken = with_value(tensor, large);

@@ -1,4 +1,4 @@
-// Non-maximum suppression over at most 1024 boxes in the order of their scores.
+// Non-maximum suppression over at most 1024 boxes, the best first.
 //
 // `mask` compares all pairs at once: bit j of row i says that box i, if kept, suppresses the later
 // box j. `scan`, one workgroup, then goes through the rows, 32 boxes at a time.
@@ -21,7 +21,7 @@ struct Params {
 @group(0) @binding(1) var<storage, read> boxes: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> scores: array<f32>;
 @group(0) @binding(3) var<storage, read> classes: array<u32>;
-// Indices of the boxes by descending score.
+// Indices of the boxes, the best first.
 @group(0) @binding(4) var<storage, read> order: array<u32>;
 @group(0) @binding(5) var<storage, read> input_count: array<u32>;
 @group(0) @binding(6) var<storage, read_write> suppressed: array<u32>;

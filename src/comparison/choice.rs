@@ -30,7 +30,9 @@ pub struct ChoiceComparison {
 /// How far what a choice compares may be from the other side's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Moved {
-    /// A score, or what else the boxes are ordered by.
+    /// A score.
+    pub score: f64,
+    /// A score's logit, by which the boxes are ordered.
     pub order: f64,
     /// A box's sides, in pixels of the network's input.
     pub side: f64,
@@ -41,6 +43,7 @@ pub(super) struct Moved {
 struct Row {
     id: Id,
     bbox: [f32; 4],
+    score: f32,
     order: f32,
     class: u32,
     /// Its place in the order in which the suppression goes through the candidates.
@@ -70,14 +73,16 @@ impl Side {
     ) -> Result<Self> {
         let rule = choice.rule;
         let n = ids.len();
-        let (boxes, order) = (value(choice.boxes)?.f32()?, value(choice.order)?.f32()?);
-        let order = &order.data()[..n];
+        let [boxes, scores, order] = [choice.boxes, choice.scores, choice.order].map(&value);
+        let (boxes, scores) = (boxes?.f32()?, scores?.f32()?);
+        let order = &order?.f32()?.data()[..n];
         let classes = choice.classes.map(|id| value(id)?.u32()).transpose()?;
         let kept = kept(choice, &value)?;
         let mut rows: Vec<_> = (0..n)
             .map(|i| Row {
                 id: ids[i],
                 bbox: std::array::from_fn(|side| boxes.data()[i * 4 + side]),
+                score: scores.data()[i],
                 order: order[i],
                 class: classes.map_or(0, |c| c.data()[i]),
                 rank: i,
@@ -126,8 +131,9 @@ pub(super) fn kept<'a>(
 
 /// How far apart the two sides' candidates of the same name are.
 pub(super) fn moved(a: &Side, b: &Side) -> Moved {
-    let mut moved = Moved { order: 0.0, side: 0.0 };
+    let mut moved = Moved { score: 0.0, order: 0.0, side: 0.0 };
     for (a, b) in a.rows.iter().filter_map(|row| Some((row, b.row(row.id)?))) {
+        moved.score = moved.score.max(distance(a.score, b.score));
         moved.order = moved.order.max(distance(a.order, b.order));
         for (a, b) in a.bbox.into_iter().zip(b.bbox) {
             moved.side = moved.side.max(distance(a, b));
@@ -173,9 +179,9 @@ pub(super) fn compare(
         let apart = distance(a.order, b.order);
         let what = format!("{} and {} have changed places", name(a.id), name(b.id));
         match apart <= 2.0 * moved.order {
-            true => comparison.excused.push(format!("{what}: their scores are {apart:.1e} apart")),
+            true => comparison.excused.push(format!("{what}: their logits are {apart:.1e} apart")),
             false => {
-                comparison.failures.push(format!("{what}: their scores are {apart:.1e} apart"))
+                comparison.failures.push(format!("{what}: their logits are {apart:.1e} apart"))
             }
         }
     }
@@ -217,13 +223,13 @@ fn explain(
         // The best candidates are as many on both sides; who is the last of them may differ.
         let last = side.rows.iter().map(|r| r.order).fold(f32::INFINITY, f32::min);
         let apart = distance(row.order, last);
-        let why = format!("its score is {apart:.1e} from the last candidate's");
+        let why = format!("its logit is {apart:.1e} from the last candidate's");
         return if apart <= 2.0 * moved.order { Ok(why) } else { Err(why) };
     };
-    let to_score = distance(there.order, rule.min_score);
-    if there.order <= rule.min_score {
+    let to_score = distance(there.score, rule.min_score);
+    if there.score <= rule.min_score {
         let why = format!("its score is {to_score:.1e} from the threshold");
-        return if to_score <= moved.order { Ok(why) } else { Err(why) };
+        return if to_score <= moved.score { Ok(why) } else { Err(why) };
     }
     let smallest = |b: [f32; 4]| (b[2] - b[0]).min(b[3] - b[1]);
     if smallest(there.bbox) < rule.min_size {
@@ -237,7 +243,7 @@ fn explain(
         if let Some(here) = here.filter(|here| here.rank > row.rank) {
             // Who comes first suppresses the other.
             let apart = distance(here.order, row.order);
-            let why = format!("its score is {apart:.1e} from that of {}", name(k.id));
+            let why = format!("its logit is {apart:.1e} from that of {}", name(k.id));
             if apart > 2.0 * moved.order {
                 return Err(why);
             }
@@ -265,7 +271,7 @@ fn explain(
     if let Some(last) = last.filter(|_| other.chosen.len() == rule.max_out) {
         let apart = distance(there.order, last.order);
         if apart <= 2.0 * moved.order {
-            return Ok(format!("its score is {apart:.1e} from that of the last chosen"));
+            return Ok(format!("its logit is {apart:.1e} from that of the last chosen"));
         }
         // A better one that is the other's alone took its place.
         let taken = other.chosen.iter().filter_map(|id| other.row(*id)).find(|k| {
@@ -315,11 +321,12 @@ mod tests {
         min_score: 0.05,
         min_size: 1.0,
         sorted: false,
+        order: false,
         classes: false,
         count: false,
     };
     /// What rounding may do in these tests.
-    const MOVED: Moved = Moved { order: 1e-6, side: 1e-4 };
+    const MOVED: Moved = Moved { score: 1e-6, order: 1e-6, side: 1e-4 };
 
     /// A side that chose by `RULE` from boxes with scores; the place is the anchor.
     fn side(rows: &[([f32; 4], f32)]) -> Side {
@@ -334,7 +341,7 @@ mod tests {
             min_score: RULE.min_score,
             min_size: RULE.min_size,
         };
-        let mut keep = cpu::nms(&boxes, &order, None, rule, false);
+        let mut keep = cpu::nms(&boxes, &order, None, rule, &cpu::top_k(&order, order.len()));
         keep.truncate(RULE.max_out);
         side_of(rows, &keep)
     }
@@ -346,6 +353,7 @@ mod tests {
         let row = |(i, (anchor, (bbox, order))): (usize, &(u32, ([f32; 4], f32)))| Row {
             id: (*anchor, 0),
             bbox: *bbox,
+            score: *order,
             order: *order,
             class: 0,
             rank: rank(i),
@@ -374,7 +382,7 @@ mod tests {
         let rows = [(span(0.0, 10.0), 0.9), (span(20.0, 30.0), 0.8), (span(21.0, 30.0), 0.7)];
         assert_eq!(side(&rows).chosen, [(0, 0), (1, 0)]);
         assert_eq!(counts(&side(&rows), &side(&rows)), (0, 0));
-        assert_eq!(moved(&side(&rows), &side(&rows)), Moved { order: 0.0, side: 0.0 });
+        assert_eq!(moved(&side(&rows), &side(&rows)), Moved { score: 0.0, order: 0.0, side: 0.0 });
     }
 
     #[test]

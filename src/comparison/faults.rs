@@ -134,7 +134,7 @@ fn an_output_scaled_by_a_hair_is_found() {
         "roi_head.fc7",
         "roi_head.cls_score",
         "roi_head.bbox_pred",
-        "roi_head.probabilities",
+        "roi_head.decode.margins",
     ];
     run.finds("scaled by 1.0001", &tensors, by(1.0001));
 }

@@ -189,19 +189,20 @@ pub(crate) fn compare(
 
     let [score_bound, corner_bound] = seen_bounds(how.precision);
     // An excuse reaches no further than what a user sees may be off.
-    let capped = |moved: Moved, order| Moved {
-        order: moved.order.min(order),
+    // A logit that moves by 4δ moves its score by at most δ.
+    let capped = |moved: Moved| Moved {
+        score: moved.score.min(score_bound),
+        order: moved.order.min(4.0 * score_bound),
         side: moved.side.min(corner_bound / scale),
     };
     let moved = choice::moved(&device.proposals, &reference.proposals);
     let [ours, theirs] = [got, want].map(|values| float(network, values, network.objectness));
     let moved = Moved { order: moved.order.max(largest_difference(ours?, theirs?)), ..moved };
-    // A logit that moves by 4δ moves its score by at most δ.
-    let moved = capped(moved, 4.0 * score_bound);
+    let moved = capped(moved);
     let proposals =
         choice::compare(&device.proposals, &reference.proposals, moved, &HashSet::new());
     let moved = choice::moved(&device.detections, &reference.detections);
-    let moved = capped(moved, score_bound);
+    let moved = capped(moved);
     let [ours, theirs]: [HashSet<_>; 2] = [&device, &reference]
         .map(|c| c.proposals.chosen.iter().map(|(anchor, _)| *anchor).collect());
     let classes = 1..=network.config.classes.len() as u32;

@@ -35,7 +35,7 @@ pub use channel_pool::channel_pool;
 pub use contact::{ContactRule, contact};
 pub use conv2d::{ConvShape, conv2d};
 pub use crop_resize::{Crop, crop_resize, triangle_filter};
-pub use decode_detections::{DetectionRule, decode_detections};
+pub use decode_detections::{Candidate, DetectionRule, decode_detections, margin};
 pub use decode_pose::decode_pose;
 pub use decode_proposals::{AnchorGrid, decode_proposals};
 pub use gather_rows::gather_rows;

@@ -1,6 +1,6 @@
 //! Non-maximum suppression.
 
-use crate::cpu::{iou_above, top_k};
+use crate::cpu::iou_above;
 
 /// Which boxes take part in [`nms`], and when one suppresses another.
 #[derive(Clone, Copy, Debug)]
@@ -13,19 +13,18 @@ pub struct NmsRule {
     pub min_size: f32,
 }
 
-/// Indices of the boxes that no better box of their class suppresses, by descending score, ties by
-/// lower index. With `sorted` the boxes are taken in the order they come.
+/// Indices of the boxes that no better box of their class suppresses, best first: `order` names them
+/// all in that order.
 pub fn nms(
     boxes: &[[f32; 4]],
     scores: &[f32],
     classes: Option<&[u32]>,
     rule: NmsRule,
-    sorted: bool,
+    order: &[u32],
 ) -> Vec<u32> {
-    let order = if sorted { (0..boxes.len() as u32).collect() } else { top_k(scores, boxes.len()) };
     let mut keep: Vec<u32> = Vec::new();
     for index in order {
-        let i = index as usize;
+        let i = *index as usize;
         let fits = scores[i] > rule.min_score
             && boxes[i][2] - boxes[i][0] >= rule.min_size
             && boxes[i][3] - boxes[i][1] >= rule.min_size;
@@ -36,7 +35,7 @@ pub fn nms(
             })
         };
         if fits && !suppressed() {
-            keep.push(index);
+            keep.push(*index);
         }
     }
     keep

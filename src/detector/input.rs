@@ -207,6 +207,7 @@ impl Input {
     ) -> Result<Vec<Found>> {
         let boxes = value(network, values, network.boxes)?.f32()?;
         let scores = value(network, values, network.scores)?.f32()?;
+        let margins = value(network, values, network.margins)?.f32()?;
         let classes = value(network, values, network.classes)?.u32()?;
         let poses = match network.pose {
             Some(pose) => value(network, values, pose)?.f32()?.data().as_chunks::<5>().0,
@@ -219,10 +220,11 @@ impl Input {
         let origin = [self.view.part.x, self.view.part.y].map(|at| at as f32);
         let edge = self.geometry.resized.map(|side| side as f32);
         let corner = [window.x, window.y].map(|at| at as f32);
-        let rows = boxes.data().chunks_exact(4).zip(scores.data()).zip(classes.data());
+        let rows = boxes.data().chunks_exact(4).zip(scores.data()).zip(margins.data());
+        let rows = rows.zip(classes.data());
         rows.take(count)
             .enumerate()
-            .map(|(i, ((b, score), class))| {
+            .map(|(i, (((b, score), margin), class))| {
                 let inside = std::array::from_fn(|k| b[k] + corner[k % 2]);
                 // What repeats the part's edge is no part of it.
                 let bbox: [f32; 4] = std::array::from_fn(|k| {
@@ -249,7 +251,7 @@ impl Input {
                     whole: pose.map(|p| p[4]),
                 };
                 let cut = regions::is_cut(inside, window, self.geometry.size);
-                Ok(Found { detection, part, cut })
+                Ok(Found { detection, margin: *margin, part, cut })
             })
             .collect()
     }

@@ -136,6 +136,8 @@ fn groups(map: &Map, near: usize) -> Vec<Vec<[usize; 2]>> {
 /// A detection of one part.
 pub(super) struct Found {
     pub detection: Detection,
+    /// The score's logit: scores close to 1 are equal in f32 where these differ.
+    pub margin: f32,
     /// The part's place among all.
     pub part: usize,
     /// Whether it reaches an edge of its part that is none of the input.
@@ -155,7 +157,7 @@ pub(super) fn is_cut(bbox: [f32; 4], window: &Window, [height, width]: [usize; 2
 /// Leaves one detection of each snap that several parts saw: a whole one before one that its part cuts, then
 /// the better. Best first, at most `most`.
 pub(super) fn merged(mut found: Vec<Found>, iou: f32, most: usize) -> Vec<Detection> {
-    found.sort_by(|a, b| a.cut.cmp(&b.cut).then(b.detection.score.total_cmp(&a.detection.score)));
+    found.sort_by(|a, b| a.cut.cmp(&b.cut).then(b.margin.total_cmp(&a.margin)));
     let mut kept: Vec<Found> = Vec::new();
     for one in found {
         let same = |other: &Found| {
@@ -167,10 +169,8 @@ pub(super) fn merged(mut found: Vec<Found>, iou: f32, most: usize) -> Vec<Detect
             kept.push(one);
         }
     }
-    let mut kept: Vec<Detection> = kept.into_iter().map(|found| found.detection).collect();
-    kept.sort_by(|a, b| b.score.total_cmp(&a.score));
-    kept.truncate(most);
-    kept
+    kept.sort_by(|a, b| b.margin.total_cmp(&a.margin));
+    kept.into_iter().take(most).map(|found| found.detection).collect()
 }
 
 /// Whether two boxes overlap by more than `iou`, or one covers most of the other.
@@ -243,6 +243,7 @@ mod tests {
         assert_eq!(got, [Window { x: 128, y: 64, width: 96, height: 96 }]);
     }
 
+    /// Its logit is to be the score's, as far as order goes.
     fn found(part: usize, score: f32, bbox: [f32; 4], cut: bool) -> Found {
         let detection = Detection {
             class: "A".into(),
@@ -255,7 +256,7 @@ mod tests {
             yaw_std_deg: None,
             whole: None,
         };
-        Found { detection, part, cut }
+        Found { detection, margin: score, part, cut }
     }
 
     #[test]
@@ -269,6 +270,45 @@ mod tests {
         let twins = || [0.9, 0.8].map(|s| found(0, s, [10.0, 10.0, 50.0, 30.0], false)).into();
         assert_eq!(merged(twins(), 0.5, 100).len(), 2);
         assert_eq!(merged(twins(), 0.5, 1).len(), 1);
+    }
+
+    /// Two parts see the same place, one an A there and one a B: nothing says that they are one snap.
+    #[test]
+    fn boxes_of_two_classes_are_two_snaps() {
+        let bbox = [10.0, 10.0, 50.0, 30.0];
+        let of_class = |class_index: usize, part: usize, score: f32| {
+            let found = found(part, score, bbox, false);
+            Found { detection: Detection { class_index, ..found.detection }, ..found }
+        };
+        let three = [of_class(0, 0, 0.9), of_class(1, 1, 0.8), of_class(0, 2, 0.7)];
+        let kept = merged(three.into(), 0.5, 100);
+        let kept: Vec<_> = kept.iter().map(|d| (d.class_index, d.score)).collect();
+        assert_eq!(kept, [(0, 0.9), (1, 0.8)]);
+    }
+
+    /// 10 × 20 of the first are 1/4 of both together, and half of the second: too little of either for one
+    /// snap, unless less overlap is enough.
+    #[test]
+    fn boxes_that_overlap_less_are_two_snaps() {
+        let two = || -> Vec<Found> {
+            let first = found(0, 0.9, [10.0, 10.0, 40.0, 30.0], false);
+            vec![first, found(1, 0.8, [30.0, 10.0, 50.0, 30.0], false)]
+        };
+        assert_eq!(merged(two(), 0.26, 100).len(), 2);
+        assert_eq!(merged(two(), 0.24, 100).len(), 1);
+    }
+
+    #[test]
+    fn of_equal_scores_the_logit_decides() {
+        let sure = |part: usize, margin: f32, bbox: [f32; 4]| Found {
+            margin,
+            ..found(part, 1.0, bbox, false)
+        };
+        let (near, far) = ([10.0, 10.0, 50.0, 30.0], [100.0, 10.0, 140.0, 30.0]);
+        let nearer = near.map(|side| side + 1.0);
+        let three = vec![sure(0, 19.0, far), sure(0, 20.0, near), sure(1, 21.0, nearer)];
+        let kept: Vec<_> = merged(three, 0.5, 100).into_iter().map(|d| d.bbox).collect();
+        assert_eq!(kept, [nearer, far]);
     }
 
     #[test]

@@ -16,6 +16,7 @@ shader_params! {
         weight_y: f32,
         weight_width: f32,
         weight_height: f32,
+        scale: f32,
     }
 }
 
@@ -52,19 +53,21 @@ impl Kernel for Planar {
             weight_y,
             weight_width,
             weight_height,
+            scale: 1.0 / op.temperature,
         };
         let bindings = [
             ("rois", inputs[0]),
             ("deltas", inputs[1]),
-            ("probabilities", inputs[2]),
+            ("logits", inputs[2]),
             ("input_count", inputs[3]),
             ("boxes", outputs[0]),
             ("scores", outputs[1]),
-            ("classes", outputs[2]),
+            ("margins", outputs[2]),
+            ("classes", outputs[3]),
         ];
         let grid = Grid::linear(rois * (classes - 1), 64);
         recording.dispatch(Dispatch::new(&SHADER, "decode", &params, &bindings, grid));
-        let bindings = [("input_count", inputs[3]), ("output_count", outputs[3])];
+        let bindings = [("input_count", inputs[3]), ("output_count", outputs[4])];
         let grid = Grid::Workgroups([1, 1, 1]);
         recording.dispatch(Dispatch::new(&SHADER, "count", &params, &bindings, grid));
         Ok(())

@@ -41,7 +41,7 @@ impl Kernel for Planar {
     fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let op: &Nms = work.op()?;
         let (boxes, scores) = (inputs[0], inputs[1]);
-        let (classes, count) = op.optional(inputs);
+        let [key, classes, count] = op.optional(inputs);
         let n = recording.dims(boxes)[0];
         if n > MAX_BOXES {
             return Err(Error::Capacity {
@@ -54,10 +54,11 @@ impl Kernel for Planar {
             let order = recording.constant("order", Tensor::from_fn([n], |i| i as u32));
             (order, count_tensor(recording, count.copied(), n))
         } else {
-            let values = recording.scratch("sorted scores", TensorSpec::f32([n]));
+            let values = recording.scratch("sorted keys", TensorSpec::f32([n]));
             let order = recording.scratch("order", TensorSpec::u32([n]));
             let sorted = recording.scratch("sorted", TensorSpec::u32([1]));
-            let sort: Vec<_> = [Some(scores), count.copied()].into_iter().flatten().collect();
+            let key = key.copied().unwrap_or(scores);
+            let sort: Vec<_> = [Some(key), count.copied()].into_iter().flatten().collect();
             let sort = top_k::best(n, recording, (&sort, &[values, order, sorted]))?;
             recording.dispatch(sort);
             (order, sorted)

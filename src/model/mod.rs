@@ -49,6 +49,8 @@ pub struct Network {
     pub boxes: TensorId,
     /// Output: scores `[N]`.
     pub scores: TensorId,
+    /// Output: the scores' logits `[N]`, by which detections are ordered.
+    pub margins: TensorId,
     /// Output: classes `[N]`, 1 for the first of `config.classes`.
     pub classes: TensorId,
     /// Output: how many of the N there are, `[1]`.
@@ -86,7 +88,10 @@ pub struct Choice {
     pub rule: Nms,
     /// Boxes in pixels of the network's input, `[N, 4]`.
     pub boxes: TensorId,
-    /// What they are ordered by, `[N]`: a score or its logit.
+    /// Scores `[N]`, which [`Nms::min_score`] is about.
+    pub scores: TensorId,
+    /// The scores' logits `[N]`, by which the boxes are ordered: scores close to 1 are equal in f32 where
+    /// these differ.
     pub order: TensorId,
     /// Classes `[N]`, if boxes of different classes are no rivals.
     pub classes: Option<TensorId>,
@@ -180,7 +185,8 @@ impl Network {
             let counts = graph.apply1(&name, NotFinite { count: count.is_some() }, &inputs)?;
             witnesses.push(Witness { stage, tensor, counts });
         }
-        let outputs = [head.boxes, head.scores, head.classes, head.count, proposals.count];
+        let outputs =
+            [head.boxes, head.scores, head.margins, head.classes, head.count, proposals.count];
         let more = head.pose.into_iter().chain(witnesses.iter().map(|w| w.counts));
         for id in outputs.into_iter().chain(more) {
             graph.mark_output(id);
@@ -193,6 +199,7 @@ impl Network {
             crop,
             boxes: head.boxes,
             scores: head.scores,
+            margins: head.margins,
             classes: head.classes,
             count: head.count,
             pose: head.pose,

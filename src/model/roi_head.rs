@@ -5,9 +5,7 @@ use crate::graph::{Graph, TensorId};
 use crate::model::Choice;
 use crate::model::rpn::Proposals;
 use crate::model::weights::Weights;
-use crate::ops::{
-    BoxVoting, DecodeDetections, DecodePose, GatherRows, Linear, Nms, RoiAlign, Softmax,
-};
+use crate::ops::{BoxVoting, DecodeDetections, DecodePose, GatherRows, Linear, Nms, RoiAlign};
 
 /// Side of the pooled map.
 const POOLED: usize = 7;
@@ -60,13 +58,15 @@ pub(super) struct Head {
     pub boxes: TensorId,
     /// `[N]`.
     pub scores: TensorId,
+    /// The scores' logits `[N]`, by which they are ordered.
+    pub margins: TensorId,
     /// `[N]`, 1 for the first class.
     pub classes: TensorId,
     /// `[1]`.
     pub count: TensorId,
     /// `[N, 5]`, if the weights know the pose.
     pub pose: Option<TensorId>,
-    /// Class probabilities, box deltas and what is said of the pose, a row a proposal.
+    /// Class logits, box deltas and what is said of the pose, a row a proposal.
     pub rows: Vec<TensorId>,
     /// How the detections were chosen.
     pub choice: Choice,
@@ -103,34 +103,40 @@ pub(super) fn roi_head(
         true => Some(linear(graph, weights, "roi_head.pose", [POSE, hidden], false, x, count)?),
         false => None,
     };
-    let softmax = Softmax { temperature: config.temperature, count: true };
-    let probabilities = graph.apply1("roi_head.probabilities", softmax, &[logits, count])?;
 
     graph.begin_stage("detections");
-    let decode = DecodeDetections { width, height, weights: CODER, class_mask: wanted.class_mask };
-    let inputs = [proposals.boxes, deltas, probabilities, count];
+    let decode = DecodeDetections {
+        width,
+        height,
+        weights: CODER,
+        temperature: config.temperature,
+        class_mask: wanted.class_mask,
+    };
+    let inputs = [proposals.boxes, deltas, logits, count];
     let candidates = graph.apply("roi_head.decode", decode, &inputs)?;
-    let [boxes, scores, labels, total] = [0, 1, 2, 3].map(|i| candidates[i]);
+    let [boxes, scores, margins, labels, total] = [0, 1, 2, 3, 4].map(|i| candidates[i]);
     let nms = Nms {
         iou_threshold: wanted.iou,
         max_out: wanted.max_detections,
         min_score: wanted.score,
         min_size: MIN_SIZE,
         sorted: false,
+        order: true,
         classes: true,
         count: true,
     };
-    let kept = graph.apply("roi_head.nms", nms, &[boxes, scores, labels, total])?;
+    let kept = graph.apply("roi_head.nms", nms, &[boxes, scores, margins, labels, total])?;
     let choice = Choice {
         rule: nms,
         boxes,
-        order: scores,
+        scores,
+        order: margins,
         classes: Some(labels),
         count: total,
         keep: kept[0],
         kept: kept[1],
     };
-    let rows = [probabilities, deltas].into_iter().chain(pose).collect();
+    let rows = [logits, deltas].into_iter().chain(pose).collect();
     let mut vote = |name: &str, rows| {
         let inputs = [rows, boxes, scores, labels, kept[0], kept[1], total];
         graph.apply1(name, BoxVoting { iou_threshold: VOTE_IOU }, &inputs)
@@ -142,9 +148,11 @@ pub(super) fn roi_head(
     let mut gather =
         |name: &str, rows| graph.apply1(name, GatherRows {}, &[rows, kept[0], kept[1]]);
     let scores = gather("detections.scores", scores)?;
+    let margins = gather("detections.margins", margins)?;
     let labels = gather("detections.labels", labels)?;
     graph.rename(kept[1], "detections.count");
-    Ok(Head { boxes: voted, scores, classes: labels, count: kept[1], pose, rows, choice })
+    let (boxes, classes, count) = (voted, labels, kept[1]);
+    Ok(Head { boxes, scores, margins, classes, count, pose, rows, choice })
 }
 
 fn linear(

@@ -67,6 +67,7 @@ pub(super) fn rpn(
     let choice = Choice {
         rule: nms,
         boxes: decoded[0],
+        scores: decoded[1],
         order: logits,
         classes: None,
         count,

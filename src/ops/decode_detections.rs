@@ -3,9 +3,9 @@
 use crate::cpu::{self, DetectionRule};
 use crate::error::{Error, Result};
 use crate::ops::boxes::{decode_bound, row};
-use crate::ops::case::{Case, integers, one_way, random, random_boxes, values};
+use crate::ops::case::{Case, integers, one_way, random, random_boxes, random_scaled, values};
 use crate::ops::count::{expect_count, live};
-use crate::ops::op::{Entry, Op, Tolerance, dims, expect};
+use crate::ops::op::{EPS, Entry, Op, Tolerance, dims, expect};
 use crate::ops::params::{Param, Params as Named, Range, Settings};
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Tensor, Value};
@@ -13,12 +13,13 @@ use crate::tensor::{Tensor, Value};
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "decode_detections",
-    takes: "rois [R, 4], deltas [R, 4C], probabilities [R, C], count u32 [1]",
-    gives: "boxes [R(C - 1), 4], scores [R(C - 1)], classes u32 [R(C - 1)], count u32 [1]",
+    takes: "rois [R, 4], deltas [R, 4C], logits [R, C], count u32 [1]",
+    gives: "boxes [R(C - 1), 4], scores [R(C - 1)], margins [R(C - 1)], classes u32 [R(C - 1)], count u32 [1]",
     params: &[
         Param::required("width", "320", Range::Whole(1, 65_536)),
         Param::required("height", "320", Range::Whole(1, 65_536)),
         Param::optional("weights", "10,10,5,5", Range::Numbers(1e-3, 1e3)),
+        Param::optional("temperature", "1", Range::Number(1e-3, 1e3)),
         Param::optional("class_mask", "4294967295", Range::Whole(0, u32::MAX as u64)),
     ],
     build,
@@ -31,11 +32,12 @@ const MAX_CLASSES: usize = 32;
 /// A box and a score for each region and class but the background, by region, then class.
 ///
 /// Inputs: `rois` f32 `[R, 4]`; `deltas` f32 `[R, 4·classes]`, (dx, dy, dw, dh) of each class, the
-/// background first; `probabilities` f32 `[R, classes]`; `count` u32 `[1]`, regions in use. Outputs,
-/// with N = R · (classes − 1): `boxes` f32 `[N, 4]`, clipped to the picture; `scores` f32 `[N]`, −1
-/// where the class is not wanted; `classes` u32 `[N]`; `count` u32 `[1]`, how many of the N are
-/// written. The conventions are torchvision's `RoIHeads.postprocess_detections` before its
-/// thresholds, and its `BoxCoder`.
+/// background first; `logits` f32 `[R, classes]`; `count` u32 `[1]`, regions in use. Outputs, with
+/// N = R · (classes − 1): `boxes` f32 `[N, 4]`, clipped to the picture; `scores` f32 `[N]`, softmax of
+/// logits / temperature, −1 where the class is not wanted; `margins` f32 `[N]`, the scores' logits, by
+/// which boxes are to be ordered: scores close to 1 are equal in f32 where these differ; `classes` u32
+/// `[N]`; `count` u32 `[1]`, how many of the N are written. The conventions are torchvision's
+/// `RoIHeads.postprocess_detections` before its thresholds, and its `BoxCoder`.
 #[derive(Clone, Copy, Debug)]
 pub struct DecodeDetections {
     /// Width of the picture in pixels, to which boxes are clipped.
@@ -44,13 +46,22 @@ pub struct DecodeDetections {
     pub height: usize,
     /// What (dx, dy, dw, dh) are divided by; torchvision's (10, 10, 5, 5) by default.
     pub weights: [f32; 4],
+    /// What the logits are divided by; 1 by default. A higher one makes the shares more even (Guo et al.,
+    /// On Calibration of Modern Neural Networks, 2017).
+    pub temperature: f32,
     /// Bit c: class c is wanted; all by default.
     pub class_mask: u32,
 }
 
 impl Default for DecodeDetections {
     fn default() -> Self {
-        Self { width: 320, height: 320, weights: [10.0, 10.0, 5.0, 5.0], class_mask: u32::MAX }
+        Self {
+            width: 320,
+            height: 320,
+            weights: [10.0, 10.0, 5.0, 5.0],
+            temperature: 1.0,
+            class_mask: u32::MAX,
+        }
     }
 }
 
@@ -59,6 +70,7 @@ impl DecodeDetections {
         DetectionRule {
             extent: [self.width as f32, self.height as f32],
             weights: self.weights,
+            temperature: self.temperature,
             class_mask: self.class_mask,
             classes,
         }
@@ -75,24 +87,25 @@ impl Op for DecodeDetections {
             ("width", self.width.into()),
             ("height", self.height.into()),
             ("weights", self.weights[..].into()),
+            ("temperature", self.temperature.into()),
             ("class_mask", self.class_mask.into()),
         ]
     }
 
     fn inputs(&self) -> Vec<&'static str> {
-        vec!["rois", "deltas", "probabilities", "count"]
+        vec!["rois", "deltas", "logits", "count"]
     }
 
     fn outputs(&self) -> Vec<&'static str> {
-        vec!["boxes", "scores", "classes", "count"]
+        vec!["boxes", "scores", "margins", "classes", "count"]
     }
 
     fn shapes(&self, inputs: &[TensorSpec]) -> Result<Vec<TensorSpec>> {
         let name = self.name();
-        let [rois, classes] = dims(name, "probabilities", &inputs[2], DType::F32)?;
+        let [rois, classes] = dims(name, "logits", &inputs[2], DType::F32)?;
         if rois == 0 || classes < 2 {
             let expected = "f32 [R, classes] with R above 0 and at least 2 classes";
-            return Err(Error::tensor(name, "probabilities", expected, &inputs[2]));
+            return Err(Error::tensor(name, "logits", expected, &inputs[2]));
         }
         if classes > MAX_CLASSES {
             return Err(Error::Capacity {
@@ -108,53 +121,85 @@ impl Op for DecodeDetections {
         Ok(vec![
             TensorSpec::f32([n, 4]),
             TensorSpec::f32([n]),
+            TensorSpec::f32([n]),
             TensorSpec::u32([n]),
             TensorSpec::u32([1]),
         ])
     }
 
     fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {
-        let (rois, deltas, probabilities) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);
-        let classes = probabilities.dims()[1];
+        let (rois, deltas, logits) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);
+        let classes = logits.dims()[1];
         let count = live(Some(inputs[3]), rois.dims()[0])?;
         let found: Vec<_> = (0..count)
             .flat_map(|i| {
                 let deltas = &deltas.data()[i * 4 * classes..][..4 * classes];
-                let probabilities = &probabilities.data()[i * classes..][..classes];
-                cpu::decode_detections(
-                    row(rois.data(), i),
-                    deltas,
-                    probabilities,
-                    self.rule(classes),
-                )
+                let logits = &logits.data()[i * classes..][..classes];
+                cpu::decode_detections(row(rois.data(), i), deltas, logits, self.rule(classes))
             })
             .collect();
-        let [boxes, scores, labels] = [0, 1, 2].map(|i| specs[i].shape.clone());
+        let [boxes, scores, margins, labels] = [0, 1, 2, 3].map(|i| specs[i].shape.clone());
         Ok(vec![
-            Tensor::from_fn(boxes, |i| found.get(i / 4).map_or(0.0, |f| f.0[i % 4])).into(),
-            Tensor::from_fn(scores, |i| found.get(i).map_or(0.0, |f| f.1)).into(),
-            Tensor::from_fn(labels, |i| found.get(i).map_or(0, |f| f.2)).into(),
+            Tensor::from_fn(boxes, |i| found.get(i / 4).map_or(0.0, |f| f.bbox[i % 4])).into(),
+            Tensor::from_fn(scores, |i| found.get(i).map_or(0.0, |f| f.score)).into(),
+            Tensor::from_fn(margins, |i| found.get(i).map_or(0.0, |f| f.margin)).into(),
+            Tensor::from_fn(labels, |i| found.get(i).map_or(0, |f| f.class)).into(),
             Tensor::from_fn([1], |_| found.len() as u32).into(),
         ])
     }
 
-    /// Boxes: see `decode_bound`. The rest is copied or counted.
+    /// Boxes: see `decode_bound`. Margins: see [`margin_bound`]. Scores: as of `decode_proposals`,
+    /// s(1 − s) times the errors of exp and of the margin, and of the quotient and the sum 7ε.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
-        let (rois, deltas, probabilities) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);
-        let classes = probabilities.dims()[1];
+        let (rois, deltas, logits) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);
+        let classes = logits.dims()[1];
         let rule = self.rule(classes);
         let boxes = deltas.data().chunks(4 * classes).enumerate().flat_map(|(i, deltas)| {
             let roi = row(rois.data(), i);
             (1..classes).flat_map(move |c| decode_bound(roi, rule.deltas(deltas, c)))
         });
-        let boxes = Tolerance::Each(boxes.collect());
-        Ok(vec![boxes, Tolerance::Exact, Tolerance::Exact, Tolerance::Exact])
+        let (mut scores, mut margins) = (Vec::new(), Vec::new());
+        for logits in logits.data().chunks(classes) {
+            for class in 1..classes {
+                let margin = cpu::margin(logits, class, self.temperature);
+                let off = margin_bound(logits, class, self.temperature);
+                let score = cpu::sigmoid(margin);
+                let power = EPS * (6.0 + 4.0 * margin.abs().min(1e6)) + 1.001 * off;
+                let moved = score * ((1.0 - score) * power + 7.0 * EPS);
+                scores.push(moved + f64::from(f32::MIN_POSITIVE));
+                margins.push(off);
+            }
+        }
+        let each = [boxes.collect(), scores, margins].map(Tolerance::Each);
+        Ok(each.into_iter().chain([Tolerance::Exact, Tolerance::Exact]).collect())
     }
 
     fn defined(&self, reference: &[&Value], _inputs: &[&Value]) -> Vec<usize> {
-        let count = live(Some(reference[3]), usize::MAX).unwrap_or(0);
-        vec![count * 4, count, count, 1]
+        let count = live(Some(reference[4]), usize::MAX).unwrap_or(0);
+        vec![count * 4, count, count, count, 1]
     }
+}
+
+/// How far a margin in f32 may be from exact. With h the highest of the others and d = |x − h| / T: the
+/// difference, 1 / T and their product round to 3εd, for the class itself and for each of the others, whose
+/// exp is then off by (6 + 7d)ε of itself, as of softmax. Their sum of n rounds n times; its logarithm is off
+/// by that relative error, and by 2⁻²¹ up to 2 and else 3 ULP (WGSL). The last difference rounds once, and
+/// the reference once.
+fn margin_bound(logits: &[f32], class: usize, temperature: f32) -> f64 {
+    let others = || logits.iter().enumerate().filter(|(c, _)| *c != class).map(|(_, x)| *x);
+    let highest = others().fold(f32::NEG_INFINITY, f32::max);
+    let far = |x: f32| (f64::from(x) - f64::from(highest)).abs() / f64::from(temperature);
+    let (mut sum, mut off) = (0.0, 0.0);
+    for x in others() {
+        let power = (-far(x)).exp();
+        sum += power;
+        // What is nothing is so for certain, however far.
+        off += power * (6.0 + 7.0 * far(x).min(1e6));
+    }
+    let terms = off / sum + logits.len() as f64;
+    let logarithm = 8.0 + 6.0 * sum.ln();
+    let margin = cpu::margin(logits, class, temperature).abs();
+    EPS * (3.0 * far(logits[class]) + terms + logarithm + 2.0 * margin)
 }
 
 fn build(params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
@@ -163,6 +208,7 @@ fn build(params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
         width: params.require("width")?,
         height: params.require("height")?,
         weights: params.take_array("weights", default.weights)?,
+        temperature: params.take("temperature", default.temperature)?,
         class_mask: params.take("class_mask", default.class_mask)?,
     }))
 }
@@ -176,17 +222,18 @@ fn cases() -> Vec<Case> {
         let inputs = vec![
             random_boxes(seed + 1, rois, 320.0, 100.0).into(),
             deltas.into(),
-            random(seed + 2, [rois, classes]).into(),
+            random_scaled(seed + 2, [rois, classes], 20.0),
             count(n),
         ];
         let op = DecodeDetections { class_mask: mask, ..DecodeDetections::default() };
         Case::new(name, op, inputs)
     };
-    let ln2 = std::f32::consts::LN_2;
+    let (ln2, ln3) = (std::f32::consts::LN_2, 3f64.ln() as f32);
     let mut cases = vec![
         // The box (8, 8)–(16, 24), centre (12, 16). Class 1: dx = 5/10 of 8 is 4, dy = −10/10 of
         // 16 is −16, so the centre is (16, 0), and the upper half is clipped. Class 2 is not
-        // wanted; its dw = 100/5 is clamped to ln 62.5, which fills the picture's width.
+        // wanted; its dw = 100/5 is clamped to ln 62.5, which fills the picture's width. Shares of 2, 1 and 1
+        // in 4: each class is 1 to 3.
         Case::new(
             "by hand",
             DecodeDetections { class_mask: 0b011, ..op },
@@ -197,7 +244,7 @@ fn cases() -> Vec<Case> {
                     deltas[4..12].copy_from_slice(&[5.0, -10.0, 0.0, 0.0, 0.0, 0.0, 100.0, 0.0]);
                     deltas
                 }),
-                values([2, 3], &[0.5, 0.25, 0.25, 1.0, 0.0, 0.0]),
+                values([2, 3], &[ln2, 0.0, 0.0, 1.0, 0.0, 0.0]),
                 count(1),
             ],
         )
@@ -210,6 +257,7 @@ fn cases() -> Vec<Case> {
                 ],
             ),
             values([4], &[0.25, -1.0, 0.0, 0.0]),
+            values([4], &[-ln3, -ln3, 0.0, 0.0]),
             integers([4], &[1, 2, 0, 0]),
             integers([1], &[2]),
         ]),
@@ -221,13 +269,14 @@ fn cases() -> Vec<Case> {
             vec![
                 values([1, 4], &[8.0, 8.0, 16.0, 24.0]),
                 values([1, 8], &[0.0, 0.0, 0.0, 0.0, 0.5, 0.5, 4.0 * ln2, -8.0 * ln2]),
-                values([1, 2], &[0.25, 0.75]),
+                values([1, 2], &[0.0, ln3]),
                 count(1),
             ],
         )
         .by_hand(vec![
             values([1, 4], &[8.0, 16.0, 24.0, 24.0]),
             values([1], &[0.75]),
+            values([1], &[ln3]),
             integers([1], &[1]),
             integers([1], &[1]),
         ]),
@@ -249,17 +298,54 @@ fn cases() -> Vec<Case> {
             vec![
                 values([1, 4], &[159.0, 159.0, 161.0, 161.0]),
                 values([1, 12], &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 100.0, 20.7, 0.0, 0.0, 0.0, 20.0]),
-                values([1, 3], &[0.25, 0.5, 0.25]),
+                values([1, 3], &[0.0, ln2, 0.0]),
                 count(1),
             ],
         )
         .by_hand(vec![
             values([2, 4], &[97.5, 97.5, 222.5, 222.5, 159.0, 160.0 - half, 161.0, 160.0 + half]),
             values([2], &[0.5, 0.25]),
+            values([2], &[0.0, -ln3]),
             integers([2], &[1, 2]),
             integers([1], &[2]),
         ]),
     );
+    // 1 − 4e-9 and what is nearer to 1 are 1 in f32. At twice the temperature a margin is half as wide.
+    for (name, temperature, logits, margins) in [
+        ("scores of 1 by hand", 1.0, [[0.0, 20.0], [0.5, 20.0], [-1.0, 20.0]], [20.0, 19.5, 21.0]),
+        (
+            "a temperature by hand",
+            2.0,
+            [[0.0, 80.0], [1.0, 80.0], [-2.0, 80.0]],
+            [40.0, 39.5, 41.0],
+        ),
+    ] {
+        let op = DecodeDetections { temperature, ..DecodeDetections::default() };
+        let boxes = || values([3, 4], &[1.0, 2.0, 3.0, 4.0].repeat(3));
+        let inputs = vec![
+            boxes(),
+            Tensor::<f32>::zeros([3, 8]).into(),
+            values([3, 2], logits.as_flattened()),
+            count(3),
+        ];
+        cases.push(Case::new(name, op, inputs).by_hand(vec![
+            boxes(),
+            values([3], &[1.0; 3]),
+            values([3], &margins),
+            integers([3], &[1; 3]),
+            integers([1], &[3]),
+        ]));
+    }
+    for (seed, scale) in [(70, 1.0), (80, 1e4)] {
+        let op = DecodeDetections { temperature: 1.37, ..DecodeDetections::default() };
+        let inputs = vec![
+            random_boxes(seed, 31, 320.0, 100.0).into(),
+            random(seed + 1, [31, 20]).into(),
+            random_scaled(seed + 2, [31, 5], scale),
+            count(31),
+        ];
+        cases.push(Case::new(format!("logits to ±{scale:e}"), op, inputs));
+    }
     cases.extend(stiff());
     let inputs = vec![
         random_boxes(1000, 100, 320.0, 120.0).into(),
@@ -276,7 +362,9 @@ fn torchvision() -> Case {
     let op = DecodeDetections { width: 40, height: 32, ..DecodeDetections::default() };
     let rois = [3.0, 4.0, 30.0, 20.0, 0.0, 0.0, 16.0, 31.0, 10.5, 2.25, 12.5, 30.0];
     let deltas = Tensor::from_fn([3, 12], |i| ((i as f64).cos() * 8.0) as f32);
-    let probabilities = [0.0, 0.125, 0.875, 0.25, 0.5, 0.25, 0.0, 1.0, 0.0];
+    // Shares of 1, 1 and 6 in 8, of 1, 2 and 1 in 4, and of e⁻⁴⁰, 1 and e⁻¹⁰⁰ in 1.
+    let [ln2, ln3, ln6, ln7] = [2f64, 3.0, 6.0, 7.0].map(|x| x.ln() as f32);
+    let logits = [0.0, 0.0, ln6, 0.0, ln2, 0.0, -40.0, 0.0, -100.0];
     let golden = [
         [0.0, 0.0, 40.0, 32.0],
         [9.831_16, 0.0, 16.883_238, 8.394_383],
@@ -288,16 +376,12 @@ fn torchvision() -> Case {
     Case::new(
         "torchvision",
         op,
-        vec![
-            values([3, 4], &rois),
-            deltas.into(),
-            values([3, 3], &probabilities),
-            integers([1], &[3]),
-        ],
+        vec![values([3, 4], &rois), deltas.into(), values([3, 3], &logits), integers([1], &[3])],
     )
     .by_hand(vec![
         values([6, 4], golden.as_flattened()),
-        values([6], &[0.125, 0.875, 0.5, 0.25, 1.0, 0.0]),
+        values([6], &[0.125, 0.75, 0.5, 0.25, 1.0, 3.783_505_9e-44]),
+        values([6], &[-ln7, ln3, 0.0, -ln3, 40.0, -100.0]),
         integers([6], &[1, 2, 1, 2, 1, 2]),
         integers([1], &[6]),
     ])
@@ -323,6 +407,7 @@ fn stiff() -> Vec<Case> {
         case.by_hand(vec![
             values([n, 4], boxes.as_flattened()),
             Tensor::from_fn([n], |_| 0.5).into(),
+            Tensor::from_fn([n], |_| 0f32).into(),
             Tensor::from_fn([n], |_| 1u32).into(),
             integers([1], &[n as u32]),
         ])

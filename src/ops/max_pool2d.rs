@@ -92,6 +92,7 @@ fn build(params: &mut Named, _present: &[&str]) -> Result<Box<dyn Op>> {
 fn cases() -> Vec<Case> {
     let op = |kernel, stride, padding| MaxPool2d { kernel, stride, padding };
     let nan = f32::NAN;
+    let nine: [f32; 18] = std::array::from_fn(|i| i as f32);
     let mut cases = vec![
         Case::new(
             "2x2 by hand",
@@ -116,6 +117,9 @@ fn cases() -> Vec<Case> {
             )],
         )
         .by_hand(vec![values([2, 1, 2], &[5.0, 5.0, -5.0, -3.0])]),
+        // Two quads and one more: of windows of one pixel all that comes is what was there.
+        Case::new("nine channels by hand", op(1, 1, 0), vec![values([9, 1, 2], &nine)])
+            .by_hand(vec![values([9, 1, 2], &nine)]),
         // An infinity is no NaN: −∞ loses, ∞ wins.
         Case::new(
             "infinities by hand",

@@ -13,7 +13,7 @@ use crate::tensor::{Tensor, Value};
 /// This operation in [`crate::ops::OPS`].
 pub static ENTRY: Entry = Entry {
     name: "nms",
-    takes: "boxes [N, 4], scores [N], N at most 1024 on a GPU; optional: classes u32 [N], count u32 [1]",
+    takes: "boxes [N, 4], scores [N], N at most 1024 on a GPU; optional: order [N], classes u32 [N], count u32 [1]",
     gives: "keep u32 [min(N, max_out)], count u32 [1]",
     params: &[
         Param::optional("iou_threshold", "0.5", Range::Number(0.0, 1.0)),
@@ -29,14 +29,14 @@ pub static ENTRY: Entry = Entry {
 /// Boxes that the shader's one workgroup can scan.
 pub(crate) const MAX_BOXES: usize = 1024;
 
-/// Greedy non-maximum suppression by descending score, ties by lower index.
+/// Greedy non-maximum suppression by descending score, or what else `order` says, ties by lower index.
 ///
 /// A box is dropped if its intersection over union with a better box that was kept is above the
 /// threshold; equality keeps it, as in `torchvision.ops.nms`. The comparison is defined in f32
 /// without a division ([`cpu::iou_above`]), so that indices are equal on every device.
 ///
-/// Inputs: `boxes` f32 `[N, 4]`, `scores` f32 `[N]`, `classes` u32 `[N]` if `classes`, `count` u32
-/// `[1]` if `count`: only boxes below it take part. Outputs: `keep` u32 `[min(N, max_out)]`, indices
+/// Inputs: `boxes` f32 `[N, 4]`, `scores` f32 `[N]`, `order` f32 `[N]` if `order`, `classes` u32 `[N]` if
+/// `classes`, `count` u32 `[1]` if `count`: only boxes below it take part. Outputs: `keep` u32 `[min(N, max_out)]`, indices
 /// into the inputs, and `count` u32 `[1]`, which is how many of them are written.
 #[derive(Clone, Copy, Debug)]
 pub struct Nms {
@@ -51,6 +51,9 @@ pub struct Nms {
     pub min_size: f32,
     /// Whether the scores descend already, so that no sort is needed.
     pub sorted: bool,
+    /// Whether the boxes are ordered by something else than their scores, the best highest, such as the
+    /// scores' logits: scores close to 1 are equal in f32 where those differ. Not where they are `sorted`.
+    pub order: bool,
     /// Whether there are classes; boxes of different classes do not suppress each other.
     pub classes: bool,
     /// Whether a count limits the boxes.
@@ -65,6 +68,7 @@ impl Default for Nms {
             min_score: f32::NEG_INFINITY,
             min_size: 0.0,
             sorted: false,
+            order: false,
             classes: false,
             count: false,
         }
@@ -72,11 +76,10 @@ impl Default for Nms {
 }
 
 impl Nms {
-    /// The optional inputs: classes and count.
-    pub(crate) fn optional<'a, T>(&self, inputs: &'a [T]) -> (Option<&'a T>, Option<&'a T>) {
-        let classes = self.classes.then(|| &inputs[2]);
-        let count = self.count.then(|| &inputs[2 + usize::from(self.classes)]);
-        (classes, count)
+    /// The optional inputs: what orders the boxes, classes and count.
+    pub(crate) fn optional<'a, T>(&self, inputs: &'a [T]) -> [Option<&'a T>; 3] {
+        let mut rest = inputs[2..].iter();
+        [self.order, self.classes, self.count].map(|there| there.then(|| rest.next()).flatten())
     }
 }
 
@@ -97,6 +100,7 @@ impl Op for Nms {
 
     fn inputs(&self) -> Vec<&'static str> {
         let mut names = vec!["boxes", "scores"];
+        names.extend(self.order.then_some("order"));
         names.extend(self.classes.then_some("classes"));
         names.extend(self.count.then_some("count"));
         names
@@ -114,7 +118,13 @@ impl Op for Nms {
             return Err(Error::tensor(name, "boxes", expected, &inputs[0]));
         }
         expect(name, "scores", &TensorSpec::f32([n]), &inputs[1])?;
-        let (classes, count) = self.optional(inputs);
+        if self.order && self.sorted {
+            return Err(Error::param(name, "sorted", "false with an order", self.sorted));
+        }
+        let [order, classes, count] = self.optional(inputs);
+        if let Some(order) = order {
+            expect(name, "order", &TensorSpec::f32([n]), order)?;
+        }
         if let Some(classes) = classes {
             expect(name, "classes", &TensorSpec::u32([n]), classes)?;
         }
@@ -124,7 +134,7 @@ impl Op for Nms {
 
     fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let (boxes, scores) = (inputs[0].f32()?, inputs[1].f32()?);
-        let (classes, count) = self.optional(inputs);
+        let [order, classes, count] = self.optional(inputs);
         let n = live(count.copied(), scores.data().len())?;
         let boxes: Vec<_> = (0..n).map(|i| row(boxes.data(), i)).collect();
         let classes = classes.map(|c| c.u32()).transpose()?.map(|c| &c.data()[..n]);
@@ -133,7 +143,13 @@ impl Op for Nms {
             min_score: self.min_score,
             min_size: self.min_size,
         };
-        let mut keep = cpu::nms(&boxes, &scores.data()[..n], classes, rule, self.sorted);
+        let scores = &scores.data()[..n];
+        let order = match (self.sorted, order) {
+            (true, _) => (0..n as u32).collect(),
+            (false, Some(order)) => cpu::top_k(&order.f32()?.data()[..n], n),
+            (false, None) => cpu::top_k(scores, n),
+        };
+        let mut keep = cpu::nms(&boxes, scores, classes, rule, &order);
         keep.truncate(self.max_out);
         let count = keep.len() as u32;
         keep.resize(specs[0].shape.elements(), 0);
@@ -160,6 +176,7 @@ fn build(params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {
         min_score: params.take("min_score", default.min_score)?,
         min_size: params.take("min_size", default.min_size)?,
         sorted: params.take("sorted", false)?,
+        order: present.contains(&"order"),
         classes: present.contains(&"classes"),
         count: present.contains(&"count"),
     }))
@@ -201,6 +218,29 @@ fn cases() -> Vec<Case> {
             vec![four(), four_scores(), integers([4], &[1, 2, 2, 1])],
             &[1, 3, 2, 0],
             4,
+        ),
+        // Scores that are equal in f32, of boxes in the order 2, 3, 0, 1: of 0 and 2, which share 0.8, the
+        // second stays. By the scores alone it would be the first.
+        by_hand(
+            "equal scores in another order by hand",
+            Nms { order: true, min_score: 0.5, ..half },
+            vec![four(), values([4], &[1.0; 4]), values([4], &[20.0, 19.5, 21.0, 20.5])],
+            &[2, 3, 1, 0],
+            3,
+        ),
+        // The order says who is better, not who takes part.
+        by_hand(
+            "an order against the scores by hand",
+            Nms { order: true, min_score: 0.5, classes: true, count: true, ..half },
+            vec![
+                four(),
+                four_scores(),
+                values([4], &[4.0, 3.0, 2.0, 1.0]),
+                integers([4], &[1, 1, 2, 2]),
+                integers([1], &[4]),
+            ],
+            &[1, 2, 3, 0],
+            3,
         ),
         by_hand(
             "score, size and count by hand",
@@ -325,6 +365,7 @@ fn cases() -> Vec<Case> {
         ("1024 boxes, the best 100", 1024, 320.0, 60.0, Nms { max_out: 100, ..third }),
         ("sorted", 1000, 320.0, 80.0, Nms { sorted: true, ..third }),
         ("counted, of three classes", 500, 100.0, 50.0, Nms { count: true, classes: true, ..half }),
+        ("in another order", 601, 100.0, 50.0, Nms { order: true, classes: true, ..half }),
         ("sorted and counted", 700, 99.0, 50.0, Nms { sorted: true, count: true, ..half }),
         ("small ones out", 509, 90.0, 40.0, Nms { min_size: 16.0, min_score: -0.5, ..half }),
     ];
@@ -332,6 +373,7 @@ fn cases() -> Vec<Case> {
         let seed = seed as u64 * 10 + 100;
         let scores = if op.sorted { ranks(n) } else { random(seed + 1, [n]).into() };
         let mut inputs = vec![random_boxes(seed, n, extent, side).into(), scores];
+        inputs.extend(op.order.then(|| random(seed + 3, [n]).into()));
         inputs.extend(op.classes.then(|| random_integers(seed + 2, [n], 3)));
         inputs.extend(op.count.then(|| integers([1], &[331])));
         cases.push(Case::new(name, op, inputs));
@@ -351,10 +393,12 @@ fn cases() -> Vec<Case> {
     let inputs =
         vec![random_boxes(1000, 1000, 320.0, 120.0).into(), ranks(1000), integers([1], &[1000])];
     cases.push(Case::new("the proposals", proposals, inputs).in_network());
-    let detections = Nms { max_out: 100, min_score: 0.05, classes: true, count: true, ..half };
+    let detections =
+        Nms { max_out: 100, min_score: 0.05, order: true, classes: true, count: true, ..half };
     let inputs = vec![
         random_boxes(1010, 200, 320.0, 120.0).into(),
         random(1011, [200]).into(),
+        random(1013, [200]).into(),
         random_integers(1012, [200], 2),
         integers([1], &[200]),
     ];

@@ -27,7 +27,7 @@ fn refuses_what_does_not_fit() {
     let message = text(op, specs(5, 8, 3));
     assert!(message.contains("`deltas`") && message.contains("f32[5, 12]"), "{message}");
     let message = text(op, specs(5, 4, 1));
-    assert!(message.contains("`probabilities`") && message.contains("2 classes"), "{message}");
+    assert!(message.contains("`logits`") && message.contains("2 classes"), "{message}");
     let zero = DecodeDetections { weights: [10.0, 10.0, 0.0, 5.0], ..op };
     let message = text(zero, specs(5, 12, 3));
     assert!(message.contains("`weights`: expected numbers from 0.001 to 1000"), "{message}");

@@ -436,19 +436,24 @@ def vote(rows: Tensor, boxes: Tensor, scores: Tensor, labels: Tensor, keep: Tens
 def survivors(config: Config, heads: Heads, proposals: Tensor, size, threshold: float, nms: float) -> Survivors:
     """From the head's outputs: a box for each class, NMS within a class, the best 100, the vote."""
     proposals = proposals.to(heads.scores.dtype)
-    probability = (heads.scores / config.temperature).softmax(dim=1)
+    logits = heads.scores / config.temperature
+    probability = logits.softmax(dim=1)
+    # By how much a class is above all others: the score's logit, by which to order, as scores close to 1 are equal.
+    own = torch.eye(logits.shape[1], dtype=torch.bool, device=logits.device)
+    margin = logits - logits[:, None].masked_fill(own, -torch.inf).logsumexp(dim=2)
     found = bx.decode(heads.regression.view(len(proposals), -1, 4), proposals[:, None], bx.ROI_WEIGHTS)
     found = ops.clip_boxes_to_image(found, size)
     labels = torch.arange(probability.shape[1], device=probability.device).expand_as(probability)
     rows = torch.arange(len(proposals), device=probability.device)[:, None].expand_as(probability)
     # Class 0 is the background.
-    found, probability, labels, rows = found[:, 1:].reshape(-1, 4), probability[:, 1:].flatten(), labels[:, 1:].flatten(), rows[:, 1:].flatten()
+    found, margin = found[:, 1:].reshape(-1, 4), margin[:, 1:].flatten()
+    probability, labels, rows = (of[:, 1:].flatten() for of in (probability, labels, rows))
     keep = torch.where(probability > threshold)[0]
     keep = keep[ops.remove_small_boxes(found[keep], 1e-2)]
-    keep = torch.cat([c[ops.nms(found[c], probability[c], nms)] for c in (keep[labels[keep] == label] for label in labels[keep].unique())] or [keep])
-    # Descending score; equal scores keep the order (proposal, class) they came in.
+    keep = torch.cat([c[ops.nms(found[c], margin[c], nms)] for c in (keep[labels[keep] == label] for label in labels[keep].unique())] or [keep])
+    # Best first; equals keep the order (proposal, class) they came in.
     keep = keep.sort().values
-    keep = keep[probability[keep].argsort(descending=True, stable=True)][:100]
+    keep = keep[margin[keep].argsort(descending=True, stable=True)][:100]
     candidates = found, probability, labels, keep
     turned = None if heads.pose is None else vote(heads.pose.to(found.dtype)[rows], *candidates)
     return Survivors(vote(found, *candidates), probability[keep], labels[keep], rows[keep], turned)

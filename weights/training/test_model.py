@@ -277,6 +277,12 @@ def detections() -> None:
     found = classify(config, Heads(scores, torch.zeros(2, 12), rows), proposals, (200, 200), 0.5, 0.5)
     assert found["labels"].tolist() == [1, 2] and torch.equal(found["boxes"], proposals)
     same("score at a temperature", found["scores"], torch.tensor([0.8, 0.8]), 1e-6)
+    # Scores of 1 in float32: of two boxes of a class of which one lies on the other, that of the higher logit stays.
+    scores = torch.tensor([[0.0, 40.0, 0.0], [0.0, 42.0, 0.0]])
+    twins = torch.tensor([[0.0, 0, 40, 40], [0, 0, 40, 41]])
+    sure = classify(config, Heads(scores, torch.zeros(2, 12), rows), twins, (200, 200), 0.5, 0.5)
+    # They share 40 of 41, so the other has less than its own vote.
+    assert sure["scores"].tolist() == [1.0] and sure["boxes"][0, 3] > 40.5
     # The stud's yaw is nobody's; the pose's row follows its box.
     assert found["yaw"][0] == 0 and found["yaw"][1].isnan() and found["whole"][1] > 0.99 > found["whole"][0]
 

@@ -119,6 +119,23 @@ fn a_sensor_file_brings_its_reference_frame() {
     assert!(other.contains("expected 1000 × 900 pixels as the sensor's frames"), "{other}");
 }
 
+/// A press that fades in by less than one frame shows, 3.5 % of the brightness at its edge, is looked at
+/// within two means of four frames.
+#[test]
+fn a_stream_sees_what_fades_in() {
+    let scene = Scene { contact: true, ..Scene::FULL };
+    let detector = GpuDetector::new(config(Device::Cpu, scene)).expect("a detector");
+    let mut stream = detector.stream();
+    let frame = |seed: u32| {
+        let share = (seed as f32 / 3.0).min(1.0) * 4.0 / 30.0;
+        gel(seed, 1.0, move |x, y| share * disc(400, 400)(x, y))
+    };
+    let reused: Vec<bool> =
+        (0..9).map(|seed| stream.detect(&frame(seed)).expect("detections").reused).collect();
+    let computed: Vec<usize> = (1..reused.len()).filter(|i| !reused[*i]).collect();
+    assert!(computed.len() == 1 && computed[0] <= 8, "{reused:?}");
+}
+
 /// A crop of a frame is found where the whole frame has it, in pixels and in millimetres.
 #[test]
 fn a_crop_changes_no_position() {

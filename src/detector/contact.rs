@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::cpu::{Crop, crop_resize};
+use crate::cpu::{ContactRule, Crop, contact, crop_resize};
 use crate::detector::Config;
 use crate::detector::input::Input;
 use crate::detector::pool::Pool;
@@ -134,6 +134,13 @@ pub(super) fn cells(view: &View) -> [usize; 2] {
         (cells.round() as usize).max(1)
     };
     [side(view.part.height), side(view.part.width)]
+}
+
+/// Whether the mean of `frames` frames' cells differs from those `before` by more than the mean's noise.
+pub(super) fn has_changed(mean: &Tensor, before: &Tensor, frames: u32) -> bool {
+    let [least, most] = CHANGED.map(|share| share / (frames as f32).sqrt());
+    let rule = ContactRule { least, most, clipped: f32::MAX };
+    contact(mean, Some(before), rule).iter().any(|word| *word != 0)
 }
 
 /// The resize of a frame to cells, in levels.

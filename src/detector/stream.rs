@@ -1,5 +1,6 @@
 //! Frames of one camera, in order: what did not change is not looked at again.
 
+use crate::detector::contact;
 use crate::detector::engines::Engines;
 use crate::detector::input::Input;
 use crate::detector::look::Sight;
@@ -8,10 +9,13 @@ use crate::detector::{Detections, GpuDetector};
 use crate::error::Result;
 use crate::frame::Frame;
 use crate::gpu::Deadline;
-use crate::tensor::Value;
+use crate::tensor::{Tensor, Value};
 
 /// How often in a row a frame's detections may be kept.
 pub const MOST_REUSED: u32 = 20;
+/// After so many kept frames their mean is compared too: a snap that comes too faintly for one frame shows
+/// there, since noise is less by the root.
+const MEAN: u32 = 4;
 
 /// Looks at frames in their order: see [`GpuDetector::stream`].
 #[derive(Debug)]
@@ -28,6 +32,23 @@ struct Last {
     found: Detections,
     /// Frames since then.
     reused: u32,
+    /// The sum of their cells since the last mean.
+    sum: Vec<f32>,
+}
+
+impl Last {
+    /// Counts one more frame that equals this one; whether the mean of the last [`MEAN`] does not.
+    fn fades(&mut self, cells: Option<&Value>) -> bool {
+        let (Value::F32(own), Some(Value::F32(cells))) = (&self.cells, cells) else { return false };
+        self.sum.resize(cells.data().len(), 0.0);
+        self.sum.iter_mut().zip(cells.data()).for_each(|(sum, cell)| *sum += cell / MEAN as f32);
+        self.reused += 1;
+        if !self.reused.is_multiple_of(MEAN) {
+            return false;
+        }
+        let mean = Tensor::new(cells.shape().clone(), std::mem::take(&mut self.sum));
+        mean.is_ok_and(|mean| contact::has_changed(&mean, own, MEAN))
+    }
 }
 
 impl<'a> Stream<'a> {
@@ -37,7 +58,7 @@ impl<'a> Stream<'a> {
 
     /// Finds the snaps in the next frame. If it equals the last one that was computed, within a sensor's
     /// noise, it has that one's detections and is [`Detections::reused`]; never more than [`MOST_REUSED`]
-    /// times in a row.
+    /// times in a row, and not where four frames in a row differ together by half as much.
     ///
     /// # Errors
     /// As [`GpuDetector::detect_frame`].
@@ -64,9 +85,10 @@ impl<'a> Stream<'a> {
         let before = last.as_ref().map(|last| &last.cells);
         let look = self.detector.touched(engines, input, before, true, deadline);
         let look = pollster::block_on(look)?;
-        let same = |last: &Last| !look.changed && last.reused < MOST_REUSED;
-        if let Some(mut last) = last.filter(same) {
-            last.reused += 1;
+        let same = |last: &mut Last| {
+            !look.changed && last.reused < MOST_REUSED && !last.fades(look.cells.as_ref())
+        };
+        if let Some(last) = last.and_then(|mut last| same(&mut last).then_some(last)) {
             let found = &last.found;
             let kept = Detections {
                 contact: found.contact,
@@ -86,7 +108,7 @@ impl<'a> Stream<'a> {
         let sight = Sight::new(input, Some(look), &self.detector.config.scene);
         let found = pollster::block_on(self.detector.look_at(engines, sight, deadline))?;
         let view = input.view;
-        let last = |cells| Last { view, cells, found: found.clone(), reused: 0 };
+        let last = |cells| Last { view, cells, found: found.clone(), reused: 0, sum: Vec::new() };
         self.last = cells.map(last);
         Ok(found)
     }

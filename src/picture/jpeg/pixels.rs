@@ -76,7 +76,8 @@ impl Plane {
     /// steps.
     pub fn store(&mut self, block: &Block, steps: &[u16; 64], [x, y]: [usize; 2]) {
         let mut square = Square::default();
-        for ((coefficient, step), place) in block.iter().zip(steps).zip(ZIGZAG) {
+        let sent = block.iter().zip(steps).zip(ZIGZAG).filter(|((c, _), _)| **c != 0);
+        for ((coefficient, step), place) in sent {
             square[place / 8][place % 8] = f32::from(*coefficient) * f32::from(*step);
         }
         let square = match block[1..].iter().all(|c| *c == 0) {
@@ -134,11 +135,12 @@ impl Plane {
         shift: u32,
         halves: [u16; 2],
     ) {
+        to.resize(2 * self.width, 0);
         let (mut before, mut own) = (sample(0), sample(0));
-        for x in 0..self.width {
+        for (x, pair) in to.as_chunks_mut::<2>().0.iter_mut().enumerate() {
             let next = sample((x + 1).min(self.width - 1));
-            to.push(((3 * own + before + halves[0]) >> shift) as u8);
-            to.push(((3 * own + next + halves[1]) >> shift) as u8);
+            let sum = |other: u16, half: u16| ((3 * own + other + half) >> shift) as u8;
+            *pair = [sum(before, halves[0]), sum(next, halves[1])];
             (before, own) = (own, next);
         }
     }
@@ -162,11 +164,12 @@ pub(super) fn picture(
             [grey] => to.copy_from_slice(grey.get(..columns)?),
             [a, b, c, rest @ ..] => {
                 let (pixels, []) = to.as_chunks_mut::<3>() else { return None };
-                for (((pixel, a), b), c) in pixels.iter_mut().zip(a).zip(b).zip(c) {
-                    *pixel = match colour {
-                        Colour::YCbCr | Colour::Ycck => rgb(*a, *b, *c),
-                        _ => [*a, *b, *c],
-                    };
+                let values = pixels.iter_mut().zip(a).zip(b).zip(c);
+                match colour {
+                    Colour::YCbCr | Colour::Ycck => {
+                        values.for_each(|(((pixel, a), b), c)| *pixel = rgb(*a, *b, *c));
+                    }
+                    _ => values.for_each(|(((pixel, a), b), c)| *pixel = [*a, *b, *c]),
                 }
                 for (pixel, black) in pixels.iter_mut().zip(rest.first().into_iter().flatten()) {
                     let light = |ink: u8| match colour {

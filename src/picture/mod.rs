@@ -7,9 +7,9 @@
 //! |---|---|
 //! | pixels | [`MAX_PIXELS`] |
 //! | bytes as stored | [`MAX_ENCODED`]; of a file of another kind, its first [`MAGIC`] are read |
-//! | bytes as decoded | 4 a pixel, 8 bits a channel; meanwhile 8, in PNGs of 16 bits and in progressive JPEGs |
+//! | bytes as decoded | 4 a pixel, 8 bits a channel; in the meantime up to 9 |
 //! | scans of a JPEG | [`MAX_SCANS`], each over all of its pixels |
-//! | strips or tiles of a TIFF | what fits into an index of 1 MiB, without overlap |
+//! | strips or tiles of a TIFF | an index of 1 MiB, without overlap; 512 MiB unpacked |
 //!
 //! A build with `panic = "abort"` cannot catch a decoder's panic.
 

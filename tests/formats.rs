@@ -1,4 +1,5 @@
-//! JPEGs and TIFFs of many kinds against an independent decoder's pixels: equal, or refused by name.
+//! JPEGs and TIFFs of many kinds against an independent decoder's pixels: equal, or refused by
+//! name.
 
 use std::collections::BTreeMap;
 use std::fs::File;

@@ -32,8 +32,8 @@ pub fn open_or_pipe(path: &Path) -> Result<(File, u64)> {
     open(path)
 }
 
-/// Whether the path names one of this process's descriptors. To open another pipe would wait for its
-/// other end.
+/// Whether the path names one of this process's descriptors. To open another pipe would wait for
+/// its other end.
 #[cfg(all(unix, feature = "picture"))]
 fn is_own_descriptor(path: &Path) -> bool {
     let mut path = path.to_path_buf();

@@ -1,5 +1,6 @@
-//! BMP. The decoder (`image` 0.25) cuts off runs that are too long, paints black what no run brings,
-//! and takes colours beyond the palette for black: so pictures with a palette are walked first.
+//! BMP. The decoder (`image` 0.25) cuts off runs that are too long, paints black what no run
+//! brings, and takes colours beyond the palette for black: so pictures with a palette are walked
+//! first.
 
 use std::io::Cursor;
 

@@ -138,27 +138,152 @@ mod png {
         assert_eq!(decode(&plain).expect("a picture"), picture.into());
     }
 
+    /// A picture with this EXIF data.
+    fn with_exif(exif: &[u8]) -> Vec<u8> {
+        let plain = saved(image::RgbImage::new(3, 2).into());
+        [&plain[..33], &chunk(b"eXIf", exif), &plain[33..]].concat()
+    }
+
     #[test]
-    fn every_kind_keeps_its_samples() {
+    fn orientations_that_are_damaged_are_refused() {
+        let exif = b"MM\0\x2a\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0";
+        let whole = with_exif(exif);
+        assert_eq!(decode(&whole).expect("a picture").dimensions(), (2, 3));
+        // Wherever a byte of the chunk is damaged, the checksum tells.
+        let at = whole.windows(4).position(|w| w == b"eXIf").expect("the chunk");
+        for i in 0..exif.len() + 4 {
+            let mut damaged = whole.clone();
+            damaged[at + 4 + i] ^= 1;
+            refused(&damaged, "CRC error");
+        }
+        // Or the writer was at fault.
+        for end in 0..22 {
+            refused(&with_exif(&exif[..end]), "EXIF data that cannot be read");
+        }
+        for (place, byte, phrase) in [
+            (0, b'X', "EXIF data that cannot be read"),
+            (3, 0, "EXIF data that cannot be read"),
+            (7, 99, "EXIF data that cannot be read"),
+            (13, 4, "an orientation that is no number"),
+            (17, 2, "an orientation that is no number"),
+            (19, 9, "orientation 9 of 8"),
+            (18, 1, "orientation 262 of 8"),
+        ] {
+            let mut damaged = exif.to_vec();
+            damaged[place] = byte;
+            refused(&with_exif(&damaged), phrase);
+        }
+        // Without one, or with the one that cameras write for none, a picture stays as it is.
+        for (place, byte) in [(11, 0x13), (19, 0), (9, 0)] {
+            let mut other = exif.to_vec();
+            other[place] = byte;
+            assert_eq!(decode(&with_exif(&other)).expect("a picture").dimensions(), (3, 2));
+        }
+    }
+
+    #[test]
+    fn every_kind_keeps_its_samples_in_8_bits() {
         let samples = |n: usize| (0..n).map(|i| (i * 37 % 256) as u8).collect::<Vec<_>>();
         let wide = |n: usize| (0..n).map(|i| (i * 4099 % 65_536) as u16).collect::<Vec<_>>();
         let (w, h, n) = (5, 3, 15);
-        for picture in [
+        let small = [
             DynamicImage::ImageLuma8(image::ImageBuffer::from_raw(w, h, samples(n)).unwrap()),
             DynamicImage::ImageLumaA8(image::ImageBuffer::from_raw(w, h, samples(2 * n)).unwrap()),
             DynamicImage::ImageRgb8(image::ImageBuffer::from_raw(w, h, samples(3 * n)).unwrap()),
             DynamicImage::ImageRgba8(image::ImageBuffer::from_raw(w, h, samples(4 * n)).unwrap()),
-            DynamicImage::ImageLuma16(image::ImageBuffer::from_raw(w, h, wide(n)).unwrap()),
-            DynamicImage::ImageLumaA16(image::ImageBuffer::from_raw(w, h, wide(2 * n)).unwrap()),
-            DynamicImage::ImageRgb16(image::ImageBuffer::from_raw(w, h, wide(3 * n)).unwrap()),
-            DynamicImage::ImageRgba16(image::ImageBuffer::from_raw(w, h, wide(4 * n)).unwrap()),
-        ] {
-            let bytes = saved(picture.clone());
-            assert_eq!(decode(&bytes).expect("a picture"), picture);
+        ];
+        let [a, b, c, d] = [1, 2, 3, 4].map(|channels| wide(channels * n));
+        let wide = [
+            DynamicImage::ImageLuma16(image::ImageBuffer::from_raw(w, h, a).unwrap()),
+            DynamicImage::ImageLumaA16(image::ImageBuffer::from_raw(w, h, b).unwrap()),
+            DynamicImage::ImageRgb16(image::ImageBuffer::from_raw(w, h, c).unwrap()),
+            DynamicImage::ImageRgba16(image::ImageBuffer::from_raw(w, h, d).unwrap()),
+        ];
+        let halved = [
+            DynamicImage::from(wide[0].to_luma8()),
+            wide[1].to_luma_alpha8().into(),
+            wide[2].to_rgb8().into(),
+            wide[3].to_rgba8().into(),
+        ];
+        let small = small.clone().into_iter().zip(small);
+        for (picture, expected) in small.chain(wide.into_iter().zip(halved)) {
+            let bytes = saved(picture);
+            assert_eq!(decode(&bytes).expect("a picture"), expected);
             for end in 0..bytes.len() {
                 decode(&bytes[..end]).expect_err("a part of a PNG");
             }
         }
+    }
+}
+
+/// BMPs with a palette of 3 colours: black, red, blue.
+mod bmp {
+    use super::*;
+
+    fn bmp(width: i32, height: i32, bits: u16, compression: u32, data: &[u8]) -> Vec<u8> {
+        let mut bytes = b"BM\0\0\0\0\0\0\0\0\x42\0\0\0\x28\0\0\0".to_vec();
+        bytes.extend([width.to_le_bytes(), height.to_le_bytes()].concat());
+        bytes.extend([1_u16.to_le_bytes(), bits.to_le_bytes()].concat());
+        bytes.extend([compression, 0, 0, 0, 3, 0].map(u32::to_le_bytes).concat());
+        bytes.extend([0, 0, 0, 0, 0, 0, 255, 0, 255, 0, 0, 0]);
+        [&bytes, data].concat()
+    }
+
+    const RED: [u8; 3] = [255, 0, 0];
+    const BLUE: [u8; 3] = [0, 0, 255];
+
+    #[test]
+    fn runs_that_bring_every_pixel_are_read() {
+        // The lower row first: four red; then one blue, as it stands three red.
+        let eight = [4, 1, 0, 0, 1, 2, 0, 3, 1, 1, 1, 0, 0, 0, 0, 1];
+        let four = [4, 0x11, 0, 0, 1, 0x20, 0, 3, 0x11, 0x10, 0, 0, 0, 1];
+        for (bits, compression, data) in [(8, 1, &eight[..]), (4, 2, &four)] {
+            let whole = bmp(4, 2, bits, compression, data);
+            let picture = decode(&whole).expect("a picture").into_rgb8();
+            assert_eq!(*picture, [BLUE, RED, RED, RED, RED, RED, RED, RED].concat()[..]);
+            for end in 0..whole.len() {
+                decode(&whole[..end]).expect_err("a part of a BMP");
+            }
+            // The last row's end may be left out.
+            let end = whole.len() - 4;
+            decode(&[&whole[..end], &[0, 1]].concat()).expect("a picture");
+        }
+    }
+
+    #[test]
+    fn runs_that_are_damaged_are_refused() {
+        for (data, phrase) in [
+            (&[5, 1, 0, 0, 4, 1, 0, 1][..], "a run beyond the end of row 0 of 2"),
+            (&[3, 1, 0, 4, 1, 1, 1, 1, 0, 0, 4, 1, 0, 1], "a run beyond the end of row 0 of 2"),
+            (&[4, 1, 0, 0, 4, 1, 0, 0, 1, 1, 0, 1], "a run beyond the end of row 2 of 2"),
+            (&[3, 1, 0, 0, 4, 1, 0, 1], "3 of 4 pixels in row 0 of 2"),
+            (&[4, 1, 0, 0, 0, 0, 0, 1], "0 of 4 pixels in row 1 of 2"),
+            (&[4, 1, 0, 1], "one that ends in row 0 of 2"),
+            (&[4, 1, 0, 0, 3, 1, 0, 1], "one that ends in row 1 of 2"),
+            (&[4, 1, 0, 0, 4, 1, 0, 0], "one that ends early"),
+            (&[4, 1, 0, 0, 0, 3, 1], "one that ends early"),
+            (&[0, 2, 0, 1, 4, 1, 0, 1], "a jump over some"),
+            (&[4, 1, 0, 0, 4, 3, 0, 1], "colour 3 of 3"),
+            (&[4, 1, 0, 0, 0, 4, 1, 1, 1, 7, 0, 1], "colour 7 of 3"),
+        ] {
+            refused(&bmp(4, 2, 8, 1, data), phrase);
+        }
+        for (data, phrase) in [
+            (&[5, 0x11, 0, 0, 4, 0x11, 0, 1][..], "a run beyond the end of row 0 of 2"),
+            (&[4, 0x11, 0, 0, 2, 0x15, 2, 0x11, 0, 1], "colour 5 of 3"),
+        ] {
+            refused(&bmp(4, 2, 4, 2, data), phrase);
+        }
+    }
+
+    #[test]
+    fn colours_beyond_the_palette_are_refused() {
+        let rows = [1, 1, 2, 9, 1, 1, 2, 1];
+        let picture = decode(&bmp(3, 2, 8, 0, &rows)).expect("a picture").into_rgb8();
+        assert_eq!(*picture, [RED, RED, BLUE, RED, RED, BLUE].concat()[..]);
+        refused(&bmp(4, 2, 8, 0, &rows), "colour 9 of 3");
+        refused(&bmp(3, 2, 4, 0, &[0x11, 0x20, 0, 0, 0x13, 0x20, 0, 0]), "colour 3 of 3");
+        decode(&bmp(3, 2, 4, 0, &[0x11, 0x2f, 0, 0, 0x12, 0x20, 0, 0])).expect("a picture");
     }
 }
 
@@ -275,9 +400,9 @@ fn tiffs_of_the_listed_kinds_are_read() {
     wide.set(258, 3, vec![16]);
     wide.chunks = vec![samples(2)];
     let picture = decode(&wide.bytes()).expect("16 bits");
-    let expected =
-        samples(2).chunks(2).map(|s| u16::from_le_bytes([s[0], s[1]])).collect::<Vec<_>>();
-    assert_eq!(picture.as_luma16().expect("16 bits").as_raw(), &expected);
+    let rounded = |s: &[u8]| (f64::from(u16::from_le_bytes([s[0], s[1]])) / 257.0).round() as u8;
+    let expected = samples(2).chunks(2).map(rounded).collect::<Vec<_>>();
+    assert_eq!(picture.as_luma8().expect("grey").as_raw(), &expected);
 
     // Ink 0 is paper; full black, or full ink of a channel, leaves no light of it.
     let mut cmyk = tiff(4, 5);
@@ -469,6 +594,24 @@ mod jpeg {
     }
 
     #[test]
+    fn orientations_that_are_damaged_are_refused() {
+        let whole = stored("turned.jpg");
+        let at = whole.windows(6).position(|w| w == b"Exif\0\0").expect("an orientation");
+        for (place, byte) in [(6, b'X'), (13, 99)] {
+            let mut damaged = whole.clone();
+            damaged[at + place] = byte;
+            refused(&damaged, "EXIF data that cannot be read");
+        }
+    }
+
+    #[test]
+    fn units_of_many_blocks_are_refused() {
+        // 4 × 2 blocks of luma, and two of one component and one of the other.
+        let luma = changed(&stored("baseline.jpg"), b"\x01\x11\0\x02\x11", b"\x01\x42\0\x02\x21");
+        refused(&luma, "more than 10 blocks in a unit");
+    }
+
+    #[test]
     fn scans_are_counted() {
         // One grey block, sent bit by bit and coefficient by coefficient; all are zero.
         let scans = |count: usize| {
@@ -524,6 +667,28 @@ mod paths {
         let link = folder.path().join("link.png");
         std::os::unix::fs::symlink("/dev/zero", &link).expect("a link");
         refused(&link, "expected a file, got a device");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn pipes_that_are_open_are_read() {
+        use std::io::Write;
+        use std::os::fd::AsRawFd;
+
+        let whole = stored("baseline.jpg");
+        let folder = tempfile::tempdir().expect("a folder");
+        let link = folder.path().join("link");
+        for (i, bytes) in [&whole[..], b"neither", &whole[..300]].into_iter().enumerate() {
+            let (reader, mut writer) = std::io::pipe().expect("a pipe");
+            writer.write_all(bytes).expect("it holds them");
+            drop(writer);
+            let path = PathBuf::from(format!("/dev/fd/{}", reader.as_raw_fd()));
+            // As `/dev/stdin` is one.
+            std::os::unix::fs::symlink(&path, &link).expect("a link");
+            let got = read(if i == 0 { &link } else { &path }).map_err(|e| e.to_string());
+            assert_eq!(got, decode(bytes).map_err(|e| e.to_string()));
+            fs::remove_file(&link).expect("removed");
+        }
     }
 
     #[test]

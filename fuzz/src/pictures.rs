@@ -16,6 +16,7 @@ fn decode(data: &[u8]) {
         Ok(picture) => {
             let (width, height) = (picture.width() as usize, picture.height() as usize);
             assert!(width > 0 && height > 0 && width * height <= MAX_PIXELS);
+            assert!(picture.color().bytes_per_pixel() <= 4);
             let bytes = width * height * usize::from(picture.color().bytes_per_pixel());
             assert_eq!(picture.as_bytes().len(), bytes);
         }

@@ -2,7 +2,7 @@
 //!
 //! Everything that is read from a path or written to one goes through here. What only looks like a
 //! file (a folder, a pipe, a device, a socket) is named and refused, not opened: a pipe would wait
-//! for its other end, a device may never end.
+//! for its other end, a device may never end. Pipes that are open already do serve for pictures.
 
 #[cfg(feature = "simulator")]
 mod lock;
@@ -12,6 +12,8 @@ mod write;
 
 #[cfg(feature = "simulator")]
 pub use lock::{Lock, lock};
+#[cfg(feature = "picture")]
+pub use read::open_or_pipe;
 pub use read::{open, read, read_open, text};
 #[cfg(feature = "simulator")]
 pub use write::{Error, Outputs, check, remove_unfinished, write};

@@ -13,6 +13,46 @@ use super::kind;
 /// opened.
 pub fn open(path: &Path) -> Result<(File, u64)> {
     check(&std::fs::metadata(path)?)?;
+    open_file(path)
+}
+
+/// [`open`] that also takes a pipe that this process has open already, such as `/dev/stdin` or what
+/// a shell puts for `<(command)`; its length is 0.
+///
+/// # Errors
+/// As [`open`].
+#[cfg(feature = "picture")]
+pub fn open_or_pipe(path: &Path) -> Result<(File, u64)> {
+    #[cfg(unix)]
+    if std::os::unix::fs::FileTypeExt::is_fifo(&std::fs::metadata(path)?.file_type())
+        && is_own_descriptor(path)
+    {
+        return Ok((File::open(path)?, 0));
+    }
+    open(path)
+}
+
+/// Whether the path names one of this process's descriptors. To open another pipe would wait for
+/// its other end.
+#[cfg(all(unix, feature = "picture"))]
+fn is_own_descriptor(path: &Path) -> bool {
+    let mut path = path.to_path_buf();
+    let folders = ["/dev/fd", "/proc/self/fd"].map(std::fs::canonicalize);
+    // As many links as systems follow.
+    for _ in 0..40 {
+        let folder = path.parent().and_then(|folder| folder.canonicalize().ok());
+        if folder.is_some_and(|f| folders.iter().flatten().any(|own| *own == f)) {
+            return true;
+        }
+        match path.read_link() {
+            Ok(target) => path = path.parent().unwrap_or(Path::new("")).join(target),
+            Err(_) => return false,
+        }
+    }
+    false
+}
+
+fn open_file(path: &Path) -> Result<(File, u64)> {
     let mut options = OpenOptions::new();
     options.read(true);
     // If a pipe took the file's place since, opening it does not wait for a writer.

@@ -1,21 +1,54 @@
-//! JPEG. It has no checksum, and decoders paint grey what is missing: so every scan is walked first,
-//! to its last block, and must end where its data does.
+//! JPEG: 8 bits, Huffman-coded, sequential or progressive (ITU-T T.81).
+//!
+//! It has no checksum, and decoders paint grey what is missing. Here every scan must bring every
+//! block and end where its data does. No decoder in Rust (zune-jpeg 0.5, jpeg-decoder 0.3) gives
+//! the right pixels where a sequential file has a scan for each component, or where chroma is
+//! sampled finer than luma: each gives another picture without an error. So the blocks, which are
+//! read anyway, become pixels here ([`pixels`]).
+
+mod pixels;
+mod tables;
 
 use image::DynamicImage;
-use image::codecs::jpeg::JpegDecoder;
-use std::io::Cursor;
 
-use super::{Error, Format, check_size, finish, unreadable};
+use self::pixels::Plane;
+use super::{Error, Format, check_size, orientation};
 
 /// Most scans of a progressive JPEG; encoders use about ten.
 pub const MAX_SCANS: usize = 64;
 /// Most bytes between a scan's last block and the next marker: some cameras fill up there.
 const MAX_SURPLUS: usize = 16;
 
+/// Most blocks in a unit of an interleaved scan (T.81, B.2.3).
+const MAX_BLOCKS: usize = 10;
+
+/// The coefficients of a block, in zigzag order.
+type Block = [i16; 64];
+
 pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, Error> {
-    Walk::new(bytes).run()?;
-    let decoder = JpegDecoder::new(Cursor::new(bytes));
-    finish(Format::Jpeg, decoder.map_err(|e| unreadable(Format::Jpeg, e))?)
+    let mut walk = Walk::new(bytes);
+    walk.run()?;
+    let orientation = orientation(Format::Jpeg, walk.exif)?;
+    let colour = walk.colour()?;
+    let frame = walk.frame.take().ok_or_else(|| damaged("one without a frame"))?;
+    let size = (frame.width, frame.height);
+    let planes = frame.components.into_iter().map(Component::into_plane).collect();
+    let mut picture =
+        pixels::picture(size, planes, colour).ok_or_else(|| damaged("pixels of another number"))?;
+    picture.apply_orientation(orientation);
+    Ok(picture)
+}
+
+/// What the components are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Colour {
+    Grey,
+    Rgb,
+    YCbCr,
+    /// Inverted, as Adobe writes it: 255 is no ink.
+    Cmyk,
+    /// YCbCr of inverted C, M and Y, and inverted K.
+    Ycck,
 }
 
 /// A component of the frame.
@@ -29,14 +62,23 @@ struct Component {
     rows: usize,
     /// The lowest bit sent of each coefficient, in zigzag order; [`NEVER`] before its first scan.
     lowest_bit: [u8; 64],
-    /// In a progressive frame, a bit for each coefficient of a block that is not zero so far.
-    nonzero: Vec<u64>,
+    /// Which quantisation table is the component's.
+    table: usize,
+    /// That table as it was at the component's first scan.
+    steps: Option<[u16; 64]>,
+    /// The mean of the last block, of which the next brings the difference.
+    mean: i16,
+    plane: Plane,
+    /// In a progressive frame, all blocks, as the plane has them.
+    blocks: Vec<Block>,
 }
 
 const NEVER: u8 = u8::MAX;
 
 struct Frame {
     is_progressive: bool,
+    width: u16,
+    height: u16,
     /// Units of an interleaved scan, across and down.
     columns: usize,
     rows: usize,
@@ -66,9 +108,14 @@ struct Walk<'a> {
     frame: Option<Frame>,
     dc: [Option<Table>; 4],
     ac: [Option<Table>; 4],
+    /// Quantisation steps in zigzag order.
+    steps: [Option<[u16; 64]>; 4],
     /// Units between restart markers; 0 for none.
     restart: usize,
-    has_adobe_marker: bool,
+    is_jfif: bool,
+    /// The transform that Adobe's marker names.
+    adobe: Option<u8>,
+    exif: Option<&'a [u8]>,
     scans: usize,
 }
 
@@ -81,14 +128,17 @@ impl<'a> Walk<'a> {
             frame: None,
             dc: Default::default(),
             ac: Default::default(),
+            steps: [None; 4],
             restart: 0,
-            has_adobe_marker: false,
+            is_jfif: false,
+            adobe: None,
+            exif: None,
             scans: 0,
         }
     }
 
     /// Walks to the end-of-image marker.
-    fn run(mut self) -> Result<(), Error> {
+    fn run(&mut self) -> Result<(), Error> {
         loop {
             match self.marker()? {
                 0xd9 => return self.check_end(),
@@ -111,13 +161,29 @@ impl<'a> Walk<'a> {
                     ));
                 }
                 0xda => self.scan()?,
+                0xdb => {
+                    let segment = self.segment()?;
+                    self.quantisation(segment)?;
+                }
                 0xdc => return Err(unsupported("a JPEG with its height in front", "one behind")),
                 0xdd => {
                     let segment = self.segment()?;
                     let interval = segment.try_into().map(u16::from_be_bytes);
                     self.restart = interval.map_err(|_| damaged("a bad restart interval"))?.into();
                 }
-                0xee => self.has_adobe_marker |= self.segment()?.starts_with(b"Adobe"),
+                0xe0 => self.is_jfif |= self.segment()?.starts_with(b"JFIF\0"),
+                0xe1 => {
+                    let exif = self.segment()?.strip_prefix(b"Exif\0\0");
+                    self.exif = self.exif.or(exif);
+                }
+                0xee => {
+                    let segment = self.segment()?;
+                    if let (true, Some(transform)) =
+                        (segment.starts_with(b"Adobe"), segment.get(11))
+                    {
+                        self.adobe = Some(*transform);
+                    }
+                }
                 _ => {
                     self.segment()?;
                 }
@@ -170,27 +236,55 @@ impl<'a> Walk<'a> {
         {
             return Err(damaged("a bad frame header"));
         }
+        for [id, _, table] in listed {
+            if *table > 3 || listed.iter().filter(|c| c[0] == *id).count() > 1 {
+                return Err(damaged("a bad frame header"));
+            }
+        }
         let most = |i: usize| listed.iter().map(|c| factors(c)[i]).max().unwrap_or(1);
         let [most_across, most_down] = [most(0), most(1)];
+        if let Some(c) = listed.iter().find(|c| {
+            !most_across.is_multiple_of(factors(*c)[0]) || !most_down.is_multiple_of(factors(*c)[1])
+        }) {
+            let [across, down] = factors(c);
+            let got = format!("{across} × {down} beside {most_across} × {most_down}");
+            let expected = "components of a JPEG sampled a whole number of times coarser";
+            return Err(Error::Unsupported { expected, got });
+        }
+        let columns = usize::from(width).div_ceil(8 * most_across);
+        let rows = usize::from(height).div_ceil(8 * most_down);
         let component = |c: &[u8; 3]| {
             let [across, down] = factors(c);
-            let blocks = |size: u16, factor: usize, most: usize| {
-                (usize::from(size) * factor).div_ceil(most).div_ceil(8)
+            let samples =
+                |size: u16, factor: usize, most: usize| (usize::from(size) * factor).div_ceil(most);
+            let plane = Plane {
+                width: samples(width, across, most_across),
+                height: samples(height, down, most_down),
+                columns: columns * across,
+                across: most_across / across,
+                down: most_down / down,
+                samples: Vec::new(),
             };
             Component {
                 id: c[0],
                 across,
                 down,
-                columns: blocks(width, across, most_across),
-                rows: blocks(height, down, most_down),
+                columns: plane.width.div_ceil(8),
+                rows: plane.height.div_ceil(8),
                 lowest_bit: [NEVER; 64],
-                nonzero: Vec::new(),
+                table: c[2].into(),
+                steps: None,
+                mean: 0,
+                plane,
+                blocks: Vec::new(),
             }
         };
         Ok(Frame {
             is_progressive,
-            columns: usize::from(width).div_ceil(8 * most_across),
-            rows: usize::from(height).div_ceil(8 * most_down),
+            width,
+            height,
+            columns,
+            rows,
             components: listed.iter().map(component).collect(),
         })
     }
@@ -206,15 +300,46 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
+    fn quantisation(&mut self, mut segment: &[u8]) -> Result<(), Error> {
+        let bad = || damaged("a bad quantisation table");
+        while let [id, rest @ ..] = segment {
+            let (wide, slot) = (usize::from(id >> 4), usize::from(id & 15));
+            let (values, rest) = rest.split_at_checked(64 * (wide + 1)).ok_or_else(bad)?;
+            let steps = std::array::from_fn(|k| match wide {
+                0 => values[k].into(),
+                _ => u16::from_be_bytes([values[2 * k], values[2 * k + 1]]),
+            });
+            let slot = self.steps.get_mut(slot).filter(|_| wide < 2 && !steps.contains(&0));
+            *slot.ok_or_else(bad)? = Some(steps);
+            segment = rest;
+        }
+        Ok(())
+    }
+
+    /// What the components are, by the rules of libjpeg.
+    fn colour(&self) -> Result<Colour, Error> {
+        let components = self.frame.as_ref().map(|f| &f.components[..]).unwrap_or_default();
+        let ids: Vec<u8> = components.iter().map(|c| c.id).collect();
+        Ok(match (components.len(), self.is_jfif, self.adobe) {
+            (1, ..) => Colour::Grey,
+            (3, true, _) => Colour::YCbCr,
+            (3, _, Some(0)) => Colour::Rgb,
+            (3, _, None) if ids == *b"RGB" => Colour::Rgb,
+            (3, ..) => Colour::YCbCr,
+            (_, _, Some(0)) => Colour::Cmyk,
+            (_, _, Some(_)) => Colour::Ycck,
+            // With the marker 255 is no ink. Without it that is anybody's guess.
+            (_, _, None) => {
+                return Err(unsupported("Adobe's marker in a JPEG of four components", "none"));
+            }
+        })
+    }
+
     /// Walks a scan, from its header to the marker behind it.
     fn scan(&mut self) -> Result<(), Error> {
         let header = || damaged("a bad scan header");
         let segment = self.segment()?;
         let frame = self.frame.as_mut().ok_or_else(header)?;
-        if frame.components.len() == 4 && !self.has_adobe_marker {
-            // With it 255 is no ink. Without it that is anybody's guess.
-            return Err(unsupported("Adobe's marker in a JPEG of four components", "none"));
-        }
         self.scans += 1;
         if self.scans > MAX_SCANS {
             let limit = format!("{MAX_SCANS} scans");
@@ -248,7 +373,24 @@ impl<'a> Walk<'a> {
             return Err(header());
         }
         for part in &parts {
-            frame.components[part.component].note(&band)?;
+            let component = &mut frame.components[part.component];
+            component.note(&band)?;
+            if component.steps.is_none() {
+                let steps = self.steps[component.table];
+                component.steps =
+                    Some(steps.ok_or_else(|| damaged("one without its quantisation"))?);
+                component.allocate(frame.rows, frame.is_progressive);
+            }
+            component.mean = 0;
+            if !frame.is_progressive {
+                // Cameras that send Motion JPEG leave the usual tables out.
+                tables::fill(&mut self.dc, &mut self.ac, part.dc, part.ac);
+            }
+        }
+        let blocks =
+            |p: &Part| frame.components[p.component].across * frame.components[p.component].down;
+        if parts.len() > 1 && parts.iter().map(blocks).sum::<usize>() > MAX_BLOCKS {
+            return Err(damaged("a scan with more than 10 blocks in a unit"));
         }
         let mut coder = Coder {
             bits: Bits { bytes: self.bytes, at: self.at, buffer: 0, count: 0 },
@@ -269,10 +411,12 @@ impl<'a> Walk<'a> {
         for unit in 0..units {
             if self.restart > 0 && unit > 0 && unit % self.restart == 0 {
                 coder.restart(unit / self.restart - 1)?;
+                frame.components.iter_mut().for_each(|c| c.mean = 0);
             }
+            let at = [unit % columns, unit / columns];
             let coded = match &parts[..] {
-                [one] => coder.block(one, &mut frame.components[one.component], unit),
-                _ => coder.unit(&parts, &mut frame.components),
+                [one] => coder.block(one, &mut frame.components[one.component], at),
+                _ => coder.unit(&parts, &mut frame.components, at),
             };
             coded.map_err(|fault| match fault {
                 Fault::Missing => {
@@ -311,10 +455,34 @@ impl Component {
             }
             *bit = band.low;
         }
-        if band.start > 0 && self.nonzero.is_empty() {
-            self.nonzero = vec![0; self.columns * self.rows];
-        }
         Ok(())
+    }
+
+    /// Makes room for the samples of a frame with so many rows of units.
+    fn allocate(&mut self, rows: usize, is_progressive: bool) {
+        let blocks = self.plane.columns * rows * self.down;
+        match is_progressive {
+            true => self.blocks = vec![[0; 64]; blocks],
+            false => self.plane.samples = vec![0; blocks * 64],
+        }
+    }
+
+    /// Stores a whole block of a sequential frame.
+    fn store(&mut self, block: &Block, at: [usize; 2]) {
+        if let Some(steps) = &self.steps {
+            self.plane.store(block, steps, at);
+        }
+    }
+
+    fn into_plane(mut self) -> Plane {
+        if let Some(steps) = self.steps.filter(|_| !self.blocks.is_empty()) {
+            self.plane.samples = vec![0; self.blocks.len() * 64];
+            for (i, block) in self.blocks.iter().enumerate() {
+                let at = [i % self.plane.columns, i / self.plane.columns];
+                self.plane.store(block, &steps, at);
+            }
+        }
+        self.plane
     }
 }
 
@@ -341,47 +509,62 @@ struct Coder<'a> {
 
 impl Coder<'_> {
     /// A unit of several components.
-    fn unit(&mut self, parts: &[Part], components: &mut [Component]) -> Result<(), Fault> {
+    fn unit(
+        &mut self,
+        parts: &[Part],
+        components: &mut [Component],
+        [x, y]: [usize; 2],
+    ) -> Result<(), Fault> {
         for part in parts {
             let component = &mut components[part.component];
-            for _ in 0..component.across * component.down {
-                // Only scans of one component look at which block it is.
-                self.block(part, component, 0)?;
+            let (across, down) = (component.across, component.down);
+            for i in 0..across * down {
+                let at = [x * across + i % across, y * down + i / across];
+                self.block(part, component, at)?;
             }
         }
         Ok(())
     }
 
-    fn block(&mut self, part: &Part, component: &mut Component, at: usize) -> Result<(), Fault> {
-        match (self.is_progressive, self.band.start, self.band.high) {
-            (false, ..) => {
-                self.dc(part)?;
-                self.first(part, 1, &mut 0)
-            }
-            (true, 0, 0) => self.dc(part),
-            (true, 0, _) => self.bits.skip(1),
-            (true, start, 0) if self.ends == 0 => {
-                self.first(part, start.into(), &mut component.nonzero[at])
-            }
-            (true, _, 0) => {
-                self.ends -= 1;
-                Ok(())
-            }
-            (true, ..) => self.refine(part, &mut component.nonzero[at]),
+    fn block(
+        &mut self,
+        part: &Part,
+        component: &mut Component,
+        at @ [x, y]: [usize; 2],
+    ) -> Result<(), Fault> {
+        if !self.is_progressive {
+            let mut block = [0; 64];
+            component.mean = component.mean.wrapping_add(self.dc(part)?);
+            block[0] = component.mean;
+            self.first(part, 1, &mut block)?;
+            component.store(&block, at);
+            return Ok(());
         }
+        let block = &mut component.blocks[y * component.plane.columns + x];
+        match (self.band.start, self.band.high) {
+            (0, 0) => {
+                component.mean = component.mean.wrapping_add(self.dc(part)?);
+                block[0] = component.mean.wrapping_shl(self.band.low.into());
+            }
+            (0, _) => block[0] |= (self.bits.take(1)? << self.band.low) as i16,
+            (start, 0) if self.ends == 0 => self.first(part, start.into(), block)?,
+            (_, 0) => self.ends -= 1,
+            _ => self.refine(part, block)?,
+        }
+        Ok(())
     }
 
     /// The difference of a block's mean.
-    fn dc(&mut self, part: &Part) -> Result<(), Fault> {
+    fn dc(&mut self, part: &Part) -> Result<i16, Fault> {
         let length = self.bits.symbol(self.dc, part.dc)?;
         if length > 15 {
             return Err(Fault::Code);
         }
-        self.bits.skip(length.into())
+        self.bits.signed(length.into())
     }
 
     /// Coefficients from `k` on that come for the first time.
-    fn first(&mut self, part: &Part, mut k: u32, nonzero: &mut u64) -> Result<(), Fault> {
+    fn first(&mut self, part: &Part, mut k: u32, block: &mut Block) -> Result<(), Fault> {
         let end = self.band.end.into();
         while k <= end {
             let code = self.bits.symbol(self.ac, part.ac)?;
@@ -399,8 +582,8 @@ impl Coder<'_> {
                     if k > end {
                         return Err(Fault::Code);
                     }
-                    *nonzero |= 1 << k;
-                    self.bits.skip(length)?;
+                    block[k as usize] =
+                        self.bits.signed(length)?.wrapping_shl(self.band.low.into());
                     k += 1;
                 }
             }
@@ -409,24 +592,26 @@ impl Coder<'_> {
     }
 
     /// One bit more of coefficients that came before, and new ones of that size.
-    fn refine(&mut self, part: &Part, nonzero: &mut u64) -> Result<(), Fault> {
-        let (mut k, end) = (u32::from(self.band.start), u32::from(self.band.end));
+    fn refine(&mut self, part: &Part, block: &mut Block) -> Result<(), Fault> {
+        let (mut k, end) = (usize::from(self.band.start), usize::from(self.band.end));
+        let bit = 1_i16.wrapping_shl(self.band.low.into());
         while self.ends == 0 && k <= end {
             let code = self.bits.symbol(self.ac, part.ac)?;
             let (mut zeros, length) = (u32::from(code >> 4), u32::from(code & 15));
+            let mut new = 0;
             match length {
                 0 if zeros < 15 => {
                     self.ends = (1 << zeros) + self.bits.take(zeros)?;
                     break;
                 }
                 0 => {}
-                1 => self.bits.skip(1)?,
+                1 => new = if self.bits.take(1)? == 1 { bit } else { bit.wrapping_neg() },
                 _ => return Err(Fault::Code),
             }
             // Over as many zeros, with a bit for each that is none.
             while k <= end {
-                if *nonzero >> k & 1 == 1 {
-                    self.bits.skip(1)?;
+                if block[k] != 0 {
+                    self.refine_one(&mut block[k], bit)?;
                 } else if zeros == 0 {
                     break;
                 } else {
@@ -434,20 +619,23 @@ impl Coder<'_> {
                 }
                 k += 1;
             }
-            if length == 1 {
-                if k > end {
-                    return Err(Fault::Code);
-                }
-                *nonzero |= 1 << k;
+            if new != 0 {
+                *block.get_mut(k).filter(|_| k <= end).ok_or(Fault::Code)? = new;
             }
             k += 1;
         }
         if self.ends > 0 {
             self.ends -= 1;
-            if k <= end {
-                let left = *nonzero >> k & (u64::MAX >> (63 - (end - k)));
-                self.bits.skip(left.count_ones())?;
+            for coefficient in block.iter_mut().take(end + 1).skip(k).filter(|c| **c != 0) {
+                self.refine_one(coefficient, bit)?;
             }
+        }
+        Ok(())
+    }
+
+    fn refine_one(&mut self, coefficient: &mut i16, bit: i16) -> Result<(), Fault> {
+        if self.bits.take(1)? == 1 {
+            *coefficient = coefficient.wrapping_add(bit.wrapping_mul(coefficient.signum()));
         }
         Ok(())
     }
@@ -511,12 +699,15 @@ impl Bits<'_> {
         Ok((self.buffer >> self.count) as u32 & ((1 << n) - 1))
     }
 
-    /// Passes `n` bits, at most 63.
-    fn skip(&mut self, mut n: u32) -> Result<(), Fault> {
-        if n > 32 {
-            self.skip(32)?;
-            n -= 32;
-        }
+    /// A number of `length` bits, at most 15, of which the first says the sign (T.81, F.2.2.1).
+    fn signed(&mut self, length: u32) -> Result<i16, Fault> {
+        let value = self.take(length)? as i32;
+        let is_negative = length > 0 && value >> (length - 1) == 0;
+        Ok((value - if is_negative { (1 << length) - 1 } else { 0 }) as i16)
+    }
+
+    /// Passes `n` bits, at most 32.
+    fn skip(&mut self, n: u32) -> Result<(), Fault> {
         if self.count < n {
             self.fill();
         }

@@ -7,23 +7,24 @@
 //! |---|---|
 //! | pixels | [`MAX_PIXELS`] |
 //! | bytes as stored | [`MAX_ENCODED`]; of a file of another kind, its first [`MAGIC`] are read |
-//! | bytes as decoded | 8 a pixel: four channels of 16 bits; decoders take as much again |
+//! | bytes as decoded | 4 a pixel, 8 bits a channel; in the meantime up to 9 |
 //! | scans of a JPEG | [`MAX_SCANS`], each over all of its pixels |
-//! | strips or tiles of a TIFF | what fits into an index of 1 MiB, without overlap |
+//! | strips or tiles of a TIFF | an index of 1 MiB, without overlap; 512 MiB unpacked |
 //!
 //! A build with `panic = "abort"` cannot catch a decoder's panic.
 
+mod bmp;
 mod jpeg;
 mod png;
 mod tiff;
 
 use std::cell::Cell;
 use std::fmt;
-use std::io::{Cursor, Read};
+use std::io::Read;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
-use image::codecs::bmp::BmpDecoder;
+use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageError};
 
 use crate::files;
@@ -137,12 +138,13 @@ pub enum Error {
     },
 }
 
-/// Reads a picture from a file and turns it upright as its orientation says.
+/// Reads a picture in 8 bits a channel from a file and turns it upright as its orientation says.
 ///
 /// # Errors
-/// [`Error`]. Pipes, devices, sockets and folders are refused, not opened.
+/// [`Error`]. Pipes, devices, sockets and folders are refused, not opened; but for pipes that this
+/// process has open, such as `/dev/stdin`, which are read as a stream.
 pub fn read(path: impl AsRef<Path>) -> Result<DynamicImage, Error> {
-    let (file, length) = files::open(path.as_ref())?;
+    let (file, length) = files::open_or_pipe(path.as_ref())?;
     read_sized(file, length)
 }
 
@@ -166,7 +168,7 @@ fn read_sized(mut reader: impl Read, length: u64) -> Result<DynamicImage, Error>
     decode(&bytes)
 }
 
-/// Decodes a picture and turns it upright as its orientation says.
+/// Decodes a picture into 8 bits a channel and turns it upright as its orientation says.
 ///
 /// # Errors
 /// [`Error`].
@@ -176,10 +178,7 @@ pub fn decode(bytes: &[u8]) -> Result<DynamicImage, Error> {
     guarded(format, || match format {
         Format::Png => png::decode(bytes),
         Format::Jpeg => jpeg::decode(bytes),
-        Format::Bmp => {
-            let decoder = BmpDecoder::new(Cursor::new(bytes));
-            finish(format, decoder.map_err(|e| unreadable(format, e))?)
-        }
+        Format::Bmp => bmp::decode(bytes),
         Format::Tiff => tiff::decode(bytes),
     })
 }
@@ -218,6 +217,50 @@ fn finish(format: Format, mut decoder: impl ImageDecoder) -> Result<DynamicImage
     let mut picture = picture.map_err(|e| unreadable(format, e))?;
     picture.apply_orientation(orientation);
     Ok(picture)
+}
+
+/// How to turn a picture upright, by its EXIF data (a TIFF's header and its first directory).
+///
+/// Data that cannot be read is an error: a picture that lies on its side is another picture.
+fn orientation(format: Format, exif: Option<&[u8]>) -> Result<Orientation, Error> {
+    let Some(exif) = exif else { return Ok(Orientation::NoTransforms) };
+    let damaged = |got: &str| Error::Damaged { format, got: got.into() };
+    let cut = || damaged("EXIF data that cannot be read");
+    let is_big = match exif.get(..4).ok_or_else(cut)? {
+        b"MM\0*" => true,
+        b"II*\0" => false,
+        _ => return Err(cut()),
+    };
+    let number = |at: usize, length: usize| {
+        let bytes = exif.get(at..at.checked_add(length)?)?.iter();
+        let join = |value, byte: &u8| value << 8 | usize::from(*byte);
+        Some(if is_big { bytes.fold(0, join) } else { bytes.rev().fold(0, join) })
+    };
+    let first = number(4, 4).ok_or_else(cut)?;
+    let count = number(first, 2).ok_or_else(cut)?;
+    for entry in (0..count).map(|i| first + 2 + 12 * i) {
+        if number(entry, 2).ok_or_else(cut)? != 0x0112 {
+            continue;
+        }
+        // One number of 16 bits.
+        let value = number(entry + 8, 4).and_then(|_| number(entry + 8, 2)).ok_or_else(cut)?;
+        if (number(entry + 2, 2), number(entry + 4, 4)) != (Some(3), Some(1)) {
+            return Err(damaged("an orientation that is no number"));
+        }
+        return upright(format, value);
+    }
+    Ok(Orientation::NoTransforms)
+}
+
+/// The orientation of this number; some cameras write 0 for none.
+fn upright(format: Format, value: usize) -> Result<Orientation, Error> {
+    let known = u8::try_from(value).ok().and_then(|v| Orientation::from_exif(v.max(1)));
+    known.ok_or_else(|| Error::Damaged { format, got: format!("orientation {value} of 8") })
+}
+
+/// A value of 16 bits in 8, rounded.
+fn from_16(value: u16) -> u8 {
+    ((u32::from(value) + 128) / 257) as u8
 }
 
 fn unreadable(format: Format, error: ImageError) -> Error {

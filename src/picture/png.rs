@@ -3,16 +3,19 @@
 
 use std::io::Cursor;
 
-use image::metadata::Orientation;
 use image::{DynamicImage, ImageBuffer};
-use png::{BitDepth, ColorType, Decoder, DecodingError, Limits, Transformations};
+use png::{BitDepth, ColorType, DecodeOptions, Decoder, DecodingError, Limits, Transformations};
 
-use super::{Error, Format, MAX_ENCODED, check_size};
+use super::{Error, Format, MAX_ENCODED, check_size, from_16, orientation};
 
 pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, Error> {
     // Limits what the decoder allocates beside the pixels: a row, chunks.
     let limits = Limits { bytes: MAX_ENCODED as usize };
-    let mut decoder = Decoder::new_with_limits(Cursor::new(bytes), limits);
+    // By itself the decoder passes over an orientation whose checksum is wrong.
+    let mut options = DecodeOptions::default();
+    options.set_skip_ancillary_crc_failures(false);
+    let mut decoder = Decoder::new_with_options(Cursor::new(bytes), options);
+    decoder.set_limits(limits);
     decoder.set_transformations(Transformations::EXPAND);
     decoder.set_ignore_text_chunk(true);
     decoder.set_ignore_iccp_chunk(true);
@@ -32,39 +35,34 @@ pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, Error> {
         return Err(damaged(got));
     }
     reader.finish().map_err(unreadable)?;
-    let exif = reader.info().exif_metadata.as_deref();
-    let orientation = exif.and_then(Orientation::from_exif_chunk);
-    let wide = || samples.chunks_exact(2).map(|s| u16::from_be_bytes([s[0], s[1]])).collect();
-    let picture = match (frame.color_type, frame.bit_depth) {
-        (ColorType::Grayscale, BitDepth::Eight) => {
+    let orientation = orientation(Format::Png, reader.info().exif_metadata.as_deref())?;
+    if frame.bit_depth == BitDepth::Sixteen {
+        // In place: there is no memory for a copy to spare.
+        let count = samples.len() / 2;
+        for i in 0..count {
+            samples[i] = from_16(u16::from_be_bytes([samples[2 * i], samples[2 * i + 1]]));
+        }
+        samples.truncate(count);
+        samples.shrink_to_fit();
+    }
+    let picture = match frame.color_type {
+        ColorType::Grayscale => {
             ImageBuffer::from_raw(width, height, samples).map(DynamicImage::ImageLuma8)
         }
-        (ColorType::GrayscaleAlpha, BitDepth::Eight) => {
+        ColorType::GrayscaleAlpha => {
             ImageBuffer::from_raw(width, height, samples).map(DynamicImage::ImageLumaA8)
         }
-        (ColorType::Rgb, BitDepth::Eight) => {
+        ColorType::Rgb => {
             ImageBuffer::from_raw(width, height, samples).map(DynamicImage::ImageRgb8)
         }
-        (ColorType::Rgba, BitDepth::Eight) => {
+        ColorType::Rgba => {
             ImageBuffer::from_raw(width, height, samples).map(DynamicImage::ImageRgba8)
         }
-        (ColorType::Grayscale, BitDepth::Sixteen) => {
-            ImageBuffer::from_raw(width, height, wide()).map(DynamicImage::ImageLuma16)
-        }
-        (ColorType::GrayscaleAlpha, BitDepth::Sixteen) => {
-            ImageBuffer::from_raw(width, height, wide()).map(DynamicImage::ImageLumaA16)
-        }
-        (ColorType::Rgb, BitDepth::Sixteen) => {
-            ImageBuffer::from_raw(width, height, wide()).map(DynamicImage::ImageRgb16)
-        }
-        (ColorType::Rgba, BitDepth::Sixteen) => {
-            ImageBuffer::from_raw(width, height, wide()).map(DynamicImage::ImageRgba16)
-        }
         // Expanded to one of the above.
-        _ => None,
+        ColorType::Indexed => None,
     };
     let mut picture = picture.ok_or_else(|| damaged("pixels of another number".into()))?;
-    picture.apply_orientation(orientation.unwrap_or(Orientation::NoTransforms));
+    picture.apply_orientation(orientation);
     Ok(picture)
 }
 

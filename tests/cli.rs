@@ -233,6 +233,12 @@ fn missing_devices_are_named() {
     // An index past the end is told what there is.
     run(folder.path(), &["detect", "x.png", "--device", "99"]).expect(4).tells("`99`: found 0: ");
     run(folder.path(), &["check", "--device", "no such GPU"]).expect(4).tells("`no such GPU`");
+    // A number is no part of a name.
+    let there = run(folder.path(), &["devices", "--json"]).expect(0).json().len();
+    for index in (there..there + 10).map(|index| index.to_string()) {
+        let detect = ["detect", "x.png", "--weights", "small", "--device", &index];
+        run(folder.path(), &detect).expect(4).tells(&format!("`{index}`: found 0: "));
+    }
     let arguments = ["detect", "x.png", "--device", "0"];
     run_without_adapter(folder.path(), &arguments).expect(4).tells("none was found");
     run_without_adapter(folder.path(), &["check", "--device", "gpu"])

@@ -13,9 +13,9 @@ pub enum AdapterChoice {
     Auto,
     /// The same without software adapters.
     Hardware,
-    /// Position in the list that [`adapters`] returns; past its end, part of a name ("4090").
+    /// Position in the list that [`adapters`] returns.
     Index(usize),
-    /// Part of the adapter's name, in any case.
+    /// Part of the adapter's name, in any case ("rtx 4090").
     Name(String),
 }
 
@@ -58,7 +58,7 @@ impl AdapterChoice {
                 let software = a.get_info().device_type == wgpu::DeviceType::Cpu;
                 !software && lacks(&a.limits()).is_empty()
             }),
-            Self::Index(i) => found.get(*i).or_else(|| named(&found, &i.to_string())),
+            Self::Index(i) => found.get(*i),
             Self::Name(part) => named(&found, part),
         };
         chosen.cloned().ok_or_else(none)

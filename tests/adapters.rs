@@ -16,7 +16,8 @@ use smr_gpu::kernels::{Caps, Kind};
 use smr_gpu::lower::{Choice, works};
 use smr_gpu::model::{Network, Wanted, Weights};
 use smr_gpu::shader::Replacement;
-use smr_gpu::{Config, Frame, GpuDetector, Precision, ops};
+use smr_gpu::tune::{Place, Tuned};
+use smr_gpu::{Config, Device, Frame, GpuDetector, Precision, ops};
 
 const LARGE: &str = "weights/smrnet.safetensors";
 const SMALL: &str = "weights/smrnet-s.safetensors";
@@ -75,6 +76,36 @@ fn every_family_has_its_kernels() {
         let found = kernels(&network, "conv2d", &caps);
         assert_eq!(found, conv2d.iter().copied().collect(), "{family}");
         assert_eq!(kernels(&network, "linear", &caps), BTreeSet::from([linear]), "{family}");
+    }
+}
+
+/// A file with a choice that names what there is not is passed over, which is said: also by what measures.
+#[test]
+fn a_choice_of_unknown_kernels_is_told_of() {
+    let gpu = support::gpu();
+    let folder = tempfile::tempdir().expect("a folder");
+    let file_of_choice = folder.path().join(Place::of(gpu).file_name());
+    for (key, kernel, told) in [
+        ("conv2d stride=1", "conv2d/of-tomorrow", Some("unknown kernel `conv2d/of-tomorrow`")),
+        ("conv2d stride=1", "linear/gemm", Some("unknown kernel `linear/gemm` for `conv2d")),
+        ("conv2d stride=1", "conv2d/planar", None),
+    ] {
+        let by_shape = [(key.to_owned(), kernel.to_owned())].into();
+        let choice = Choice { by_shape, ..Choice::default() };
+        let tuned = Tuned { place: Place::of(gpu), choice };
+        std::fs::write(&file_of_choice, tuned.to_json()).expect("written");
+        let mut config = Config::new(file(SMALL)).input_size(64);
+        config.choices = Some(folder.path().into());
+        let on = GpuDetector::on_device(gpu.clone(), config.clone());
+        let remarks = pollster::block_on(on).expect("a detector").remarks();
+        let detector = GpuDetector::new(config.device(Device::Reference)).expect("a detector");
+        let mut measured = Vec::new();
+        detector.profile(gpu, 1, |remark| measured.push(remark)).expect("times");
+        assert_eq!(remarks, measured);
+        match told {
+            Some(told) => assert!(remarks.len() == 1 && remarks[0].contains(told), "{remarks:?}"),
+            None => assert!(remarks.is_empty(), "{remarks:?}"),
+        }
     }
 }
 

@@ -10,14 +10,13 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use smr_gpu::check::{Selection, Target, rows};
 use smr_gpu::gpu::Gpu;
 use smr_gpu::kernels::{Caps, Kind};
 use smr_gpu::lower::{Choice, works};
 use smr_gpu::model::{Network, Wanted, Weights};
 use smr_gpu::shader::Replacement;
 use smr_gpu::tune::{Place, Tuned};
-use smr_gpu::{Config, Device, Frame, GpuDetector, Precision, ops};
+use smr_gpu::{Config, Device, Frame, GpuDetector, Precision};
 
 const LARGE: &str = "weights/smrnet.safetensors";
 const SMALL: &str = "weights/smrnet-s.safetensors";
@@ -191,29 +190,6 @@ fn broadcast(w: vec4<f32>, lane: u32) -> vec4<f32> {{
     let taken = format!("{first}    let lane = lane_of(local);\n");
     let gemm = replaced("linear/gemm", &[builtin, (first, &taken)]);
     gpu.with_replacement(products).with_replacement(direct).with_replacement(gemm)
-}
-
-/// The least size that a driver may choose, with the most subgroups a workgroup: each shader on its cases.
-#[test]
-fn kernels_run_with_the_smallest_subgroups_of_their_class() {
-    for class in VARYING {
-        let size = class[0];
-        let gpu = emulated(support::gpu(), size).with_caps(caps(class, Kind::Discrete));
-        for kernel in ["conv2d/direct", "linear/gemm"] {
-            let op = kernel.split('/').next().expect("an operation");
-            let selection = Selection {
-                kernel: Some(kernel.into()),
-                precision: Some(Precision::F32),
-                ..Selection::of(op)
-            };
-            let entry = ops::find(op).expect("an operation");
-            let rows = rows(&Target::Gpu(gpu.clone()), entry, &selection).expect("a device");
-            let failures: Vec<_> = rows.iter().flat_map(|row| &row.failures).collect();
-            assert!(failures.is_empty(), "{size} of {class:?}, {kernel}: {failures:?}");
-            let cases: usize = rows.iter().map(|row| row.cases).sum();
-            assert!(cases > 0, "{size} of {class:?}: {kernel} ran no case");
-        }
-    }
 }
 
 /// The whole network on subgroups that this adapter does not have, of sizes between and of the largest.

@@ -85,9 +85,9 @@ pub struct Replacement {
 }
 
 impl Replacement {
-    /// The text of `file`: this one if it is meant, else its own.
-    fn text<'a>(replacement: Option<&'a Self>, file: &str, own: &'a str) -> &'a str {
-        replacement.filter(|r| r.file == file).map_or(own, |r| &r.text)
+    /// The text of `file`: the last of these that is meant, else its own.
+    fn text<'a>(replacements: &'a [Self], file: &str, own: &'a str) -> &'a str {
+        replacements.iter().rfind(|r| r.file == file).map_or(own, |r| &r.text)
     }
 }
 
@@ -189,8 +189,8 @@ fn select(text: &str, flags: &[&str]) -> std::result::Result<String, (u32, Strin
 impl Expanded {
     /// # Errors
     /// [`Error::Shader`] for an include that does not exist, or a condition that does not end.
-    fn new(shader: &Shader, variant: &Variant, replacement: Option<&Replacement>) -> Result<Self> {
-        let own = Replacement::text(replacement, shader.stem, shader.source);
+    fn new(shader: &Shader, variant: &Variant, replacements: &[Replacement]) -> Result<Self> {
+        let own = Replacement::text(replacements, shader.stem, shader.source);
         let mut whole = Self { text: String::new(), files: Vec::new() };
         whole.push(&format!("{}.wgsl", shader.stem), own, variant)?;
         for (line, content) in whole.text.clone().lines().enumerate() {
@@ -199,7 +199,7 @@ impl Expanded {
                 return Err(shader.error(line as u32 + 1, format!("no shared file `{name}`")));
             };
             let file = format!("shared/{name}");
-            let text = Replacement::text(replacement, &file, shared);
+            let text = Replacement::text(replacements, &file, shared);
             whole.text.push('\n');
             whole.push(&format!("{file}.wgsl"), text, variant)?;
         }
@@ -238,7 +238,7 @@ impl Shader {
 /// [`Error::Shader`] with file and line if it does not compile, if it binds outside group 0, or if
 /// the two layouts of `Params` differ.
 pub fn reflect(shader: &Shader, variant: &Variant) -> Result<Reflection> {
-    reflect_with(shader, variant, None)
+    reflect_with(shader, variant, &[])
 }
 
 /// [`reflect`] with another text for one of the shader's files.
@@ -250,15 +250,15 @@ pub fn reflect_replaced(
     variant: &Variant,
     replacement: &Replacement,
 ) -> Result<Reflection> {
-    reflect_with(shader, variant, Some(replacement))
+    reflect_with(shader, variant, std::slice::from_ref(replacement))
 }
 
 pub(crate) fn reflect_with(
     shader: &Shader,
     variant: &Variant,
-    replacement: Option<&Replacement>,
+    replacements: &[Replacement],
 ) -> Result<Reflection> {
-    let expanded = Expanded::new(shader, variant, replacement)?;
+    let expanded = Expanded::new(shader, variant, replacements)?;
     let text = &expanded.text;
     let module = naga::front::wgsl::parse_str(text)
         .map_err(|e| expanded.error(e.location(text), e.emit_to_string(text)))?;
@@ -390,7 +390,7 @@ mod tests {
     fn a_line_of_the_expanded_text_is_a_line_of_one_file() {
         let source = "// include: relu\n// include: index\n";
         let shader = Shader { stem: "own", source, params: NONE };
-        let text = Expanded::new(&shader, &Variant::default(), None).expect("includes");
+        let text = Expanded::new(&shader, &Variant::default(), &[]).expect("includes");
         for (number, content) in text.text.lines().enumerate() {
             let at = naga::SourceLocation {
                 line_number: number as u32 + 1,

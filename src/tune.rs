@@ -67,11 +67,15 @@ impl Tuned {
     /// Reads the choice for `gpu`.
     ///
     /// # Errors
-    /// [`Error::File`] for a file that is damaged, or measured elsewhere.
+    /// [`Error::File`] for a file that is damaged, measured elsewhere, or names kernels that there are not.
     pub fn read(path: &Path, gpu: &Gpu) -> Result<Self> {
         let fail = |message: String| Error::File { file: path.to_owned(), message };
         let bytes = files::read(path, MAX_FILE).map_err(|e| fail(e.to_string()))?;
         let tuned = Self::parse(&bytes).map_err(fail)?;
+        if let Some((key, kernel)) = tuned.choice.unknown() {
+            let got = format!("the unknown kernel `{kernel}` for `{key}`");
+            return Err(fail(format!("expected a choice of kernels, got {got}")));
+        }
         let Place { adapter, driver, version } = &tuned.place;
         match tuned.place == Place::of(gpu) {
             true => Ok(tuned),

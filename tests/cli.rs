@@ -233,6 +233,12 @@ fn missing_devices_are_named() {
     // An index past the end is told what there is.
     run(folder.path(), &["detect", "x.png", "--device", "99"]).expect(4).tells("`99`: found 0: ");
     run(folder.path(), &["check", "--device", "no such GPU"]).expect(4).tells("`no such GPU`");
+    // A number is no part of a name.
+    let there = run(folder.path(), &["devices", "--json"]).expect(0).json().len();
+    for index in (there..there + 10).map(|index| index.to_string()) {
+        let detect = ["detect", "x.png", "--weights", "small", "--device", &index];
+        run(folder.path(), &detect).expect(4).tells(&format!("`{index}`: found 0: "));
+    }
     let arguments = ["detect", "x.png", "--device", "0"];
     run_without_adapter(folder.path(), &arguments).expect(4).tells("none was found");
     run_without_adapter(folder.path(), &["check", "--device", "gpu"])
@@ -321,6 +327,67 @@ fn without_an_adapter_the_cpu_detects() {
     // That is what `auto` means: nothing to tell.
     assert!(ran.told().is_empty(), "{:?}", ran.told());
     assert_eq!(ran.json()[0]["adapter"], "CPU (f32)");
+}
+
+/// Runs the program where the Vulkan loader finds one driver, which does `what` when it is loaded.
+#[cfg(target_os = "linux")]
+fn run_with_driver(folder: &Path, what: &str, arguments: &[&str]) -> Ran {
+    let (source, library) = (folder.join("driver.rs"), folder.join("libdriver.so"));
+    let text = format!(
+        "#[unsafe(no_mangle)]
+        pub extern \"C\" fn vk_icdNegotiateLoaderICDInterfaceVersion(_: *mut u32) -> i32 {{ {what} }}
+        #[unsafe(no_mangle)]
+        pub extern \"C\" fn vk_icdGetInstanceProcAddr(_: usize, _: usize) -> usize {{ {what} }}"
+    );
+    fs::write(&source, text).expect("written");
+    let rustc = std::env::var_os("RUSTC").unwrap_or("rustc".into());
+    let mut compile = Command::new(rustc);
+    compile.args(["--edition", "2024", "--crate-type", "cdylib", "-o"]).args([&library, &source]);
+    let compiled = compile.output().expect("the compiler that made this test");
+    assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stderr));
+    let icd = serde_json::json!({
+        "file_format_version": "1.0.0",
+        "ICD": { "library_path": library, "api_version": "1.3.0" },
+    });
+    fs::write(folder.join("icd.json"), icd.to_string()).expect("written");
+    let mut command = command(folder);
+    for variable in ["VK_ICD_FILENAMES", "VK_DRIVER_FILES"] {
+        command.env(variable, folder.join("icd.json"));
+    }
+    command.args(arguments).output().expect("the program runs").into()
+}
+
+/// As a driver does that is damaged, or of a card that is.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_driver_that_crashes_takes_nothing_with_it() {
+    let folder = folder();
+    ramp(40, 40).save(folder.path().join("x.png")).expect("saved");
+    let crash = "unsafe { (8 as *mut u8).write_volatile(1) }; 0";
+    let run = |arguments: &[&str]| run_with_driver(folder.path(), crash, arguments);
+    let told = "a GPU driver failed while it was loaded (signal: 11 (SIGSEGV)";
+    let ran = run(&["detect", "x.png", "--json"]).expect(0).tells(told);
+    assert_eq!(ran.told().iter().filter(|line| line.contains("driver")).count(), 1);
+    assert_eq!(ran.tells("; going on with the CPU").json()[0]["adapter"], "CPU (f32)");
+    // What asks for no GPU does not look for any; what asks for one says why there is none.
+    let ran = run(&["detect", "x.png", "--device", "CPU"]).expect(0);
+    assert!(!ran.stderr.contains("driver"), "{}", ran.stderr);
+    run(&["detect", "x.png", "--device", "gpu"]).expect(4).tells(told);
+    run(&["devices"]).expect(4).tells(told);
+    run(&["check", "softmax", "--device", "0"]).expect(4).tells(told);
+    run(&["bench"]).expect(4).tells(told);
+    run(&["compare", "x.png"]).expect(4).tells(told);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_driver_that_hangs_is_not_waited_for() {
+    let folder = folder();
+    ramp(40, 40).save(folder.path().join("x.png")).expect("saved");
+    let hang = "loop { std::thread::sleep(std::time::Duration::from_secs(3600)) }";
+    let ran = run_with_driver(folder.path(), hang, &["detect", "x.png", "--json"]).expect(0);
+    let told = "the GPU drivers gave no answer within 5 s; going on with the CPU";
+    assert_eq!(ran.tells(told).json()[0]["adapter"], "CPU (f32)");
 }
 
 /// Good and bad pictures of every sort, in one folder, and how each bad one is refused.

@@ -6,13 +6,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::task::{Context, Waker};
 use std::time::Duration;
 
-use smr_gpu::Error;
 use smr_gpu::gpu::{AdapterChoice, Deadline, Gpu, GpuOptions, ProgramOptions, Slot, wgpu};
 use smr_gpu::graph::{Graph, TensorId};
 use smr_gpu::ops::case::random;
 use smr_gpu::ops::{Conv2d, MaxPool2d};
 use smr_gpu::shape::{Extent, TensorSpec};
 use smr_gpu::tensor::{Tensor, Value};
+use smr_gpu::{Device, Error};
 
 fn open(change: impl FnOnce(&mut GpuOptions)) -> smr_gpu::Result<std::sync::Arc<Gpu>> {
     let mut options = GpuOptions::default();
@@ -48,9 +48,32 @@ fn a_lost_device_is_a_typed_error() {
     assert!(matches!(again, Err(Error::DeviceLost(_))), "{again:?}");
 }
 
+/// A keyword in any case; a number is an index, and of no other use.
+#[test]
+fn a_device_is_read_as_it_is_meant() {
+    let of = |text: &str| text.parse::<Device>();
+    for (text, device) in [("CPU", Device::Cpu), ("Auto", Device::Auto), (" cpu ", Device::Cpu)] {
+        assert_eq!(of(text).expect("a device"), device, "{text}");
+    }
+    assert_eq!(of("GPU").expect("a device"), Device::Gpu(AdapterChoice::Auto));
+    assert_eq!(of("Reference").expect("a device"), Device::Reference);
+    for (text, index) in [("7", 7), ("007", 7), (" 4090 ", 4090)] {
+        assert_eq!(of(text).expect("an index"), Device::Gpu(AdapterChoice::Index(index)), "{text}");
+    }
+    for name in ["RTX 4090", "4090 D", "7x"] {
+        assert_eq!(of(name).expect("a name"), Device::Gpu(AdapterChoice::Name(name.into())));
+    }
+    for wrong in ["", " ", "-1", "-", "99999999999999999999999"] {
+        let message = of(wrong).expect_err("no device").to_string();
+        assert!(message.contains("an adapter's index") && message.contains(wrong), "{message}");
+    }
+}
+
 #[test]
 fn an_adapter_that_is_not_there_is_named() {
-    for choice in [AdapterChoice::Index(99), AdapterChoice::Name("no such adapter".into())] {
+    // Most names of adapters have a digit.
+    let indices = (90..100).map(AdapterChoice::Index);
+    for choice in indices.chain([AdapterChoice::Name("no such adapter".into())]) {
         let message = open(|o| o.adapter = choice.clone()).expect_err("no adapter").to_string();
         assert!(message.contains(&choice.to_string()) && message.contains("found"), "{message}");
     }

@@ -132,11 +132,9 @@ fn kernels_and_shaders_are_called_as_their_operation() {
 #[test]
 fn shaders_validate_and_keep_to_the_default_limits() {
     let mut failures = Vec::new();
-    let sizes = [None, Some(4), Some(8), Some(16), Some(32), Some(64)];
-    let all = sizes.into_iter().flat_map(|subgroup| {
-        let caps = Caps { subgroup, ..Caps::default() };
-        kernels::shaders(&caps)
-    });
+    let all = Caps::SUBGROUPS
+        .into_iter()
+        .flat_map(|sizes| kernels::shaders(&Caps::default().with_subgroups(sizes)));
     for (shader, variant) in all {
         let name = format!("{} {variant}", shader.stem);
         // This also compares naga's offsets of `Params` with Rust's.

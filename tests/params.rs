@@ -103,7 +103,7 @@ fn host(op: Box<dyn Op>, inputs: &[Value]) -> Result<(), Error> {
     let ids: Vec<_> = named.map(|(name, value)| graph.constant(name, value.clone())).collect();
     let outputs = graph.apply_shared("op", op.clone(), &ids)?;
     outputs.iter().for_each(|id| graph.mark_output(*id));
-    let (caps, choice) = (Caps { subgroup: Some(8), ..Caps::default() }, Choice::default());
+    let (caps, choice) = (Caps::default().with_subgroups([8, 8]), Choice::default());
     lower(
         &graph,
         &Request { keep: &[], batch: 1, precision: Precision::F32, caps: &caps, choice: &choice },

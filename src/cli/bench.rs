@@ -63,7 +63,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         roof.bytes / 1e9
     ));
     let mut records: Vec<Record> = Vec::new();
-    for command in GpuDetector::new(config)?.profile(&gpu, runs)? {
+    for command in GpuDetector::new(config)?.profile(&gpu, runs, tell)? {
         let seconds = command.time.as_secs_f64();
         let record = Record {
             stage: command.stage,

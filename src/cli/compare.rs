@@ -6,7 +6,7 @@ use std::time::Duration;
 use serde::Serialize;
 use smr_gpu::{Comparison, Device, Frame, GpuDetector, Scene};
 
-use super::detector::{AdapterArgs, Assumed, BoxArgs, NetworkArgs, fraction};
+use super::detector::{self, AdapterArgs, Assumed, BoxArgs, NetworkArgs, fraction};
 use super::exit::{Exit, Failure};
 use super::output::{count, json_line, line, tell};
 use super::picture;
@@ -82,7 +82,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     config.score = args.conf;
     config.iou = args.boxes.iou;
     config.keep_stages = true;
-    let detector = GpuDetector::new(config)?;
+    let detector = detector::open(config)?;
     tell(format!("{} against the CPU reference (f64)", detector.adapter()));
     let alone = sources.len() == 1;
     if !alone && !args.json {

@@ -14,8 +14,10 @@ use smr_gpu::{
     WeightSource,
 };
 
+use super::devices::Record;
 use super::exit::{Exit, Failure};
 use super::output::tell;
+use super::probe;
 use super::source::Source;
 use super::tune;
 
@@ -29,8 +31,8 @@ const WEIGHTS_VARIABLE: &str = "SMR_GPU_WEIGHTS";
 #[derive(Debug, clap::Args)]
 pub(super) struct DeviceArgs {
     /// `auto` for a hardware adapter if there is one, else this machine's cores; `gpu` for the best
-    /// adapter, be it software; its index in `smr-gpu devices`, or part of its name; `cpu` for this
-    /// machine's cores, or `reference` for the f64 reference, which is slow.
+    /// adapter, be it software; its index in `smr-gpu devices`, which is any number, or part of its name;
+    /// `cpu` for this machine's cores, or `reference` for the f64 reference, which is slow.
     #[arg(long, default_value = "auto", value_name = "auto|gpu|cpu|reference|INDEX|NAME")]
     #[arg(value_parser = known::<Device>, allow_negative_numbers = true)]
     pub device: Device,
@@ -39,7 +41,8 @@ pub(super) struct DeviceArgs {
 /// The adapter of a command that only a GPU can run.
 #[derive(Debug, clap::Args)]
 pub(super) struct AdapterArgs {
-    /// `auto` for the best adapter, be it software; its index in `smr-gpu devices`, or part of its name.
+    /// `auto` for the best adapter, be it software; its index in `smr-gpu devices`, which is any number, or part of its
+    /// name.
     #[arg(long, default_value = "auto", value_name = "auto|INDEX|NAME")]
     #[arg(value_parser = known::<Device>, allow_negative_numbers = true)]
     device: Device,
@@ -253,6 +256,7 @@ impl AdapterArgs {
     /// As [`choice`](Self::choice), and what the library returns.
     pub fn open(&self, network: &NetworkArgs) -> Result<Arc<Gpu>, Failure> {
         let (adapter, timeout) = (self.choice()?, network.timeout);
+        looked(&Device::Gpu(adapter.clone()))?;
         let options = GpuOptions { adapter, timeout, ..GpuOptions::default() };
         Ok(pollster::block_on(Gpu::open(options))?)
     }
@@ -331,11 +335,35 @@ impl DetectorArgs {
     }
 }
 
+/// What to open for `device`, once the drivers were loaded in a process of its own: for `auto` the CPU where
+/// that shows no adapter that would do.
+///
+/// # Errors
+/// [`Exit::Device`] where a GPU is asked for and the drivers crash or hang.
+fn looked(device: &Device) -> Result<Device, Failure> {
+    match device {
+        Device::Cpu | Device::Reference => Ok(device.clone()),
+        Device::Gpu(_) => match probe::adapters(probe::PATIENTLY) {
+            Ok(_) => Ok(device.clone()),
+            Err(why) => Err(Failure::new(Exit::Device, why)),
+        },
+        Device::Auto => match probe::adapters(probe::BRIEFLY) {
+            Ok(found) if found.iter().any(Record::serves) => Ok(Device::Auto),
+            Ok(_) => Ok(Device::Cpu),
+            Err(why) => {
+                tell(format!("{why}; going on with the CPU"));
+                Ok(Device::Cpu)
+            }
+        },
+    }
+}
+
 /// Builds a detector.
 ///
 /// # Errors
-/// What the library returns.
-pub(super) fn open(config: Config) -> Result<GpuDetector, Failure> {
+/// What the library returns, and [`Exit::Device`] for drivers that crash or hang.
+pub(super) fn open(mut config: Config) -> Result<GpuDetector, Failure> {
+    config.device = looked(&config.device)?;
     let detector = GpuDetector::new(config)?;
     detector.remarks().iter().for_each(tell);
     Ok(detector)
@@ -382,10 +410,10 @@ impl Assumed {
 /// Opens a GPU for `device`; `None` stands for the CPU, as in [`open`].
 ///
 /// # Errors
-/// What the library returns.
+/// As [`open`].
 pub(super) fn open_gpu(device: &Device) -> Result<Option<Arc<Gpu>>, Failure> {
-    let adapter = match device {
-        Device::Gpu(choice) => choice.clone(),
+    let adapter = match looked(device)? {
+        Device::Gpu(choice) => choice,
         Device::Auto => AdapterChoice::Hardware,
         Device::Cpu | Device::Reference => return Ok(None),
     };

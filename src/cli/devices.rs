@@ -1,10 +1,11 @@
 //! `smr-gpu devices`: the adapters, with the limits that matter here.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use smr_gpu::gpu::{AdapterReport, adapters};
 
 use super::exit::{Exit, Failure};
 use super::output::{json_line, line};
+use super::probe;
 
 /// Features that the program can use, or that later kernels may: wgpu's names and ours.
 const FEATURES: [(&str, &str); 3] =
@@ -13,7 +14,8 @@ const FEATURES: [(&str, &str); 3] =
 /// List the adapters
 ///
 /// The index is what --device takes; the first hardware adapter that lacks nothing is
-/// `auto`, which without one is the CPU.
+/// `auto`, which without one is the CPU. Drivers are looked for in a process of its own, of which one
+/// that crashes or hangs while it loads is the end.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Print one JSON object a line for each adapter.
@@ -22,8 +24,8 @@ pub(super) struct Args {
 }
 
 /// One adapter, as `--json` prints it.
-#[derive(Serialize)]
-struct Record {
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct Record {
     index: usize,
     name: String,
     backend: String,
@@ -31,11 +33,11 @@ struct Record {
     #[serde(rename = "type")]
     kind: String,
     limits: Limits,
-    features: Vec<&'static str>,
+    features: Vec<String>,
     lacks: Vec<String>,
 }
 
-#[derive(Serialize)]
+#[derive(Debug, Serialize, Deserialize)]
 struct Limits {
     workgroup_memory_bytes: u32,
     workgroup_invocations: u32,
@@ -46,25 +48,39 @@ struct Limits {
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    let found = pollster::block_on(adapters());
+    let failed = |why| Failure::new(Exit::Device, why);
+    let found = probe::adapters(probe::PATIENTLY).map_err(failed)?;
     if found.is_empty() {
         let message = "no GPU adapter was found; the package `mesa-vulkan-drivers` brings one";
         return Err(Failure::new(Exit::Device, message));
     }
-    for (index, report) in found.iter().enumerate() {
-        let record = record(index, report);
+    for record in found {
         if args.json {
-            json_line(&record)?;
+            json_line(record)?;
         } else {
-            print(&record)?;
+            print(record)?;
         }
     }
-    if found.iter().all(|report| !report.lacks.is_empty()) {
+    if found.iter().all(|record| !record.lacks.is_empty()) {
         let message = "every adapter lacks something that the shaders need; the package \
                        `mesa-vulkan-drivers` brings one that lacks nothing";
         return Err(Failure::new(Exit::Device, message));
     }
     Ok(Exit::Done)
+}
+
+impl Record {
+    /// All adapters, best first. Loads their drivers.
+    pub fn all() -> Vec<Self> {
+        let found = pollster::block_on(adapters());
+        found.iter().enumerate().map(|(index, report)| record(index, report)).collect()
+    }
+
+    /// Whether it is hardware that gives what the kernels need.
+    pub fn serves(&self) -> bool {
+        // As wgpu calls software.
+        self.kind != "Cpu" && self.lacks.is_empty()
+    }
 }
 
 fn record(index: usize, report: &AdapterReport) -> Record {
@@ -84,7 +100,7 @@ fn record(index: usize, report: &AdapterReport) -> Record {
             workgroups_per_dimension: limits.max_compute_workgroups_per_dimension,
             subgroup_sizes: [info.subgroup_min_size, info.subgroup_max_size],
         },
-        features: FEATURES.iter().filter(|(n, _)| has(n)).map(|(_, ours)| *ours).collect(),
+        features: FEATURES.iter().filter(|(n, _)| has(n)).map(|(_, ours)| (*ours).into()).collect(),
         lacks: report.lacks.clone(),
     }
 }

@@ -16,6 +16,7 @@ mod op;
 mod output;
 mod picture;
 mod printable;
+mod probe;
 mod simulate;
 mod source;
 mod stdout;
@@ -53,6 +54,9 @@ enum Command {
     /// What `tradeoff` runs in a process of its own.
     #[command(hide = true)]
     TradeoffPeak(tradeoff::PeakArgs),
+    /// What looks for adapters in a process of its own.
+    #[command(hide = true, name = probe::COMMAND)]
+    LookForAdapters,
     Simulate(Box<simulate::Args>),
     Calibrate(calibrate::Args),
 }
@@ -96,6 +100,7 @@ fn parse_and_run() -> Result<Exit, Failure> {
         Command::Bench(args) => bench::run(args),
         Command::Tradeoff(args) => tradeoff::run(args),
         Command::TradeoffPeak(args) => tradeoff::run_peak(args),
+        Command::LookForAdapters => probe::answer(),
         Command::Simulate(args) => simulate::run(*args),
         Command::Calibrate(args) => calibrate::run(args),
     }

@@ -24,7 +24,9 @@ const MAX_DETECTIONS: usize = Wanted::ALL.max_detections;
 /// What runs the network.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub enum Device {
-    /// A hardware adapter if there is one that gives what the kernels need, else this machine's CPU.
+    /// A hardware adapter if there is one that gives what the kernels need, else this machine's CPU; without
+    /// the feature `cpu` a software adapter, of which [`GpuDetector::remarks`] tells. Drivers are loaded into
+    /// this process, so one that crashes while it loads takes the program with it.
     #[default]
     Auto,
     /// A GPU, or a software adapter that acts as one.
@@ -38,24 +40,29 @@ pub enum Device {
 impl std::str::FromStr for Device {
     type Err = Error;
 
-    /// `auto`, `gpu`, `cpu`, `reference`, an adapter's index, or part of its name.
+    /// `auto`, `gpu`, `cpu`, `reference`, in any case, an adapter's index, or part of its name. A number is
+    /// an index.
     ///
     /// # Errors
-    /// [`Error::Param`] for a blank, which is part of every name.
+    /// [`Error::Param`] for a blank, which is part of every name, and a number that is no index.
     fn from_str(text: &str) -> Result<Self> {
-        Ok(match text.trim() {
-            "" => {
-                let expected =
-                    "`auto`, `gpu`, `cpu`, `reference`, an adapter's index or part of its name";
-                return Err(Error::param("detect", "device", expected, format!("`{text}`")));
-            }
+        let word = text.trim();
+        let digits = word.strip_prefix(['-', '+']).unwrap_or(word);
+        let is_number = digits.bytes().all(|b| b.is_ascii_digit());
+        Ok(match word.to_lowercase().as_str() {
             "auto" => Self::Auto,
             "gpu" => Self::Gpu(AdapterChoice::Auto),
             "cpu" => Self::Cpu,
             "reference" => Self::Reference,
-            other => Self::Gpu(match other.parse() {
+            _ => Self::Gpu(match word.parse() {
                 Ok(index) => AdapterChoice::Index(index),
-                Err(_) => AdapterChoice::Name(other.into()),
+                Err(_) if !is_number => AdapterChoice::Name(word.into()),
+                // A blank, too, is all digits.
+                Err(_) => {
+                    let expected =
+                        "`auto`, `gpu`, `cpu`, `reference`, an adapter's index or part of its name";
+                    return Err(Error::param("detect", "device", expected, format!("`{text}`")));
+                }
             }),
         })
     }

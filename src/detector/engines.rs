@@ -9,6 +9,7 @@ use crate::detector::runner::On;
 use crate::detector::{Config, Device, Scene, WeightSource};
 use crate::error::{Error, Result};
 use crate::gpu::{AdapterChoice, Gpu, GpuOptions};
+use crate::kernels;
 use crate::lock::lock;
 use crate::lower::Choice;
 use crate::model::{ModelConfig, Network, Wanted, Weights};
@@ -63,11 +64,16 @@ impl Engines {
             }
         };
         let wanted = config.wanted(weights.config())?;
+        let (mut choice, mut remarks) = (Choice::default(), Vec::new());
         let gpu = match gpu {
             Some(gpu) => Some(gpu),
-            None => open_device(config).await?,
+            None => {
+                let gpu = open_device(config).await?;
+                let kind = gpu.as_ref().map(|gpu| gpu.caps().kind);
+                remarks.extend(makeshift(&config.device, kind).map(str::to_owned));
+                gpu
+            }
         };
-        let (mut choice, mut remarks) = (Choice::default(), Vec::new());
         let adapter = match (&gpu, &config.device) {
             (Some(gpu), _) => {
                 choice = engine::choose(config, gpu, &mut remarks);
@@ -213,6 +219,14 @@ impl<K: PartialEq + Copy, T> Recent<K, T> {
     }
 }
 
+/// What is to be said where a software adapter was opened that nobody asked for.
+fn makeshift(device: &Device, opened: Option<kernels::Kind>) -> Option<&'static str> {
+    let software = *device == Device::Auto && opened == Some(kernels::Kind::Software);
+    software.then_some(
+        "no hardware adapter was found: a software one computes; the feature `cpu` is faster",
+    )
+}
+
 /// Opens the adapter that the configuration names; `None` for the CPU.
 async fn open_device(config: &Config) -> Result<Option<Arc<Gpu>>> {
     let options = |adapter: AdapterChoice| GpuOptions {
@@ -237,5 +251,19 @@ async fn open_device(config: &Config) -> Result<Option<Arc<Gpu>>> {
             Err(Error::NoAdapter { .. }) => Gpu::open(options(AdapterChoice::Auto)).await.map(Some),
             other => other.map(Some),
         },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_software_adapter_that_nobody_asked_for_is_told_of() {
+        use kernels::Kind::{Integrated, Software};
+        let told = |device: &Device, opened| makeshift(device, opened).is_some();
+        assert!(told(&Device::Auto, Some(Software)));
+        assert!(!told(&Device::Auto, Some(Integrated)) && !told(&Device::Auto, None));
+        assert!(!told(&Device::Gpu(AdapterChoice::Auto), Some(Software)));
     }
 }

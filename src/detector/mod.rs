@@ -252,16 +252,23 @@ impl GpuDetector {
     }
 
     /// Times every command of this network on `gpu`: see [`crate::profile`]. The detector must hold its
-    /// weights: one with [`Device::Reference`] does.
+    /// weights: one with [`Device::Reference`] does. `remark` hears what [`GpuDetector::remarks`] would tell of
+    /// one on `gpu`.
     ///
     /// # Errors
     /// As [`profile::commands`].
-    pub fn profile(&self, gpu: &Arc<Gpu>, runs: usize) -> Result<Vec<CommandTime>> {
+    pub fn profile(
+        &self,
+        gpu: &Arc<Gpu>,
+        runs: usize,
+        remark: impl FnMut(String),
+    ) -> Result<Vec<CommandTime>> {
         let input = self.input(&self.noise())?;
         let engine = self.engines().one(input.geometry.size)?;
         let inputs = input.inputs(&engine.network);
         let mut remarks = Vec::new();
         let choice = engine::choose(&self.config, gpu, &mut remarks);
+        remarks.into_iter().for_each(remark);
         let how = (&choice, self.config.precision);
         profile::commands(gpu, &engine.network.graph, &inputs, how, runs)
     }

@@ -3,7 +3,7 @@
 use std::sync::OnceLock;
 
 use crate::error::{Error, Result};
-use crate::kernels::{Caps, MAX_WORKGROUPS};
+use crate::kernels::{Caps, Kind, MAX_WORKGROUPS};
 
 /// Which adapter to open.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -13,9 +13,9 @@ pub enum AdapterChoice {
     Auto,
     /// The same without software adapters.
     Hardware,
-    /// Position in the list that [`adapters`] returns; past its end, part of a name ("4090").
+    /// Position in the list that [`adapters`] returns.
     Index(usize),
-    /// Part of the adapter's name, in any case.
+    /// Part of the adapter's name, in any case ("rtx 4090").
     Name(String),
 }
 
@@ -58,7 +58,7 @@ impl AdapterChoice {
                 let software = a.get_info().device_type == wgpu::DeviceType::Cpu;
                 !software && lacks(&a.limits()).is_empty()
             }),
-            Self::Index(i) => found.get(*i).or_else(|| named(&found, &i.to_string())),
+            Self::Index(i) => found.get(*i),
             Self::Name(part) => named(&found, part),
         };
         chosen.cloned().ok_or_else(none)
@@ -141,10 +141,17 @@ pub(super) fn caps(
     features: wgpu::Features,
     limits: &wgpu::Limits,
 ) -> Caps {
-    let sizes = (info.subgroup_min_size, info.subgroup_max_size);
-    let one_size = sizes.0 == sizes.1 && features.contains(wgpu::Features::SUBGROUP);
+    let has_subgroups = features.contains(wgpu::Features::SUBGROUP);
+    let size = |size| if has_subgroups { size } else { 0 };
     Caps {
-        subgroup: Some(sizes.0).filter(|_| one_size),
+        subgroup_min: size(info.subgroup_min_size),
+        subgroup_max: size(info.subgroup_max_size),
+        kind: match info.device_type {
+            wgpu::DeviceType::DiscreteGpu => Kind::Discrete,
+            wgpu::DeviceType::IntegratedGpu => Kind::Integrated,
+            wgpu::DeviceType::Cpu => Kind::Software,
+            wgpu::DeviceType::VirtualGpu | wgpu::DeviceType::Other => Kind::Other,
+        },
         // `memory::uneven` may add one.
         texture_side: limits.max_texture_dimension_2d.saturating_sub(1),
         buffer_bytes: limits.max_storage_buffer_binding_size,
@@ -227,11 +234,10 @@ mod tests {
 
     #[test]
     fn what_is_asked_is_enough_for_every_shader() {
-        let sizes = [None, Some(4), Some(8), Some(16), Some(32), Some(64)];
         let mut most = [0; 7];
-        for (shader, variant) in sizes
+        for (shader, variant) in Caps::SUBGROUPS
             .into_iter()
-            .flat_map(|subgroup| kernels::shaders(&Caps { subgroup, ..Caps::default() }))
+            .flat_map(|sizes| kernels::shaders(&Caps::default().with_subgroups(sizes)))
         {
             let reflection = shader::reflect(shader, &variant).expect("a shader");
             for entry in reflection.entries {

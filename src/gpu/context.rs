@@ -99,7 +99,7 @@ impl Gpu {
                 faults.stray(e.to_string());
             }
         }));
-        Ok(Self::with(device, queue, options, loss, false, None))
+        Ok(Self::new(device, queue, options, loss, false))
     }
 
     /// Takes a device that a program has already, for runs of at most `timeout`. Its handlers stay what
@@ -134,21 +134,30 @@ impl Gpu {
             return Err(Error::Device { adapter, message: missing.join("; ") });
         }
         let options = GpuOptions { timeout, ..GpuOptions::default() };
-        Ok(Self::with(device, queue, options, Loss::default(), true, None))
+        Ok(Self::new(device, queue, options, Loss::default(), true))
     }
 
-    fn with(
+    fn new(
         device: wgpu::Device,
         queue: wgpu::Queue,
         options: GpuOptions,
         loss: Loss,
         foreign: bool,
-        replacement: Option<shader::Replacement>,
     ) -> Arc<Self> {
         let info = device.adapter_info();
+        let caps = caps(&info, device.features(), &device.limits());
+        Self::with((device, queue, info), (options, loss, foreign), caps, Vec::new())
+    }
+
+    fn with(
+        (device, queue, info): (wgpu::Device, wgpu::Queue, wgpu::AdapterInfo),
+        (options, loss, foreign): (GpuOptions, Loss, bool),
+        caps: Caps,
+        replacements: Vec<shader::Replacement>,
+    ) -> Arc<Self> {
         Arc::new(Self {
             poller: Poller::new(&device, &loss),
-            caps: caps(&info, device.features(), &device.limits()),
+            caps,
             device,
             queue,
             info,
@@ -158,18 +167,35 @@ impl Gpu {
             uploads: Mutex::default(),
             turns: Mutex::default(),
             clock: Clock::default(),
-            pipelines: Pipelines::new(replacement),
+            pipelines: Pipelines::new(replacements),
         })
     }
 
-    /// The same device with another text for one shader file: for tests that ask what a fault in a
-    /// shader would change, and for trying out a shader. Nothing vouches for that text, so this
-    /// device compiles every shader with bounds checks, whatever its options say.
+    /// The same device with another text for one shader file, beside those that it has: for tests that ask
+    /// what a fault in a shader would change, and for trying out a shader. Nothing vouches for that text, so
+    /// this device compiles every shader with bounds checks, whatever its options say.
     pub fn with_replacement(&self, replacement: shader::Replacement) -> Arc<Self> {
         let options = GpuOptions { checked: true, ..self.options.clone() };
-        let (device, queue) = (self.device.clone(), self.queue.clone());
-        let loss = self.loss.clone();
-        Self::with(device, queue, options, loss, self.foreign, Some(replacement))
+        let mut replacements = self.pipelines.replacements.clone();
+        replacements.push(replacement);
+        self.like(options, self.caps.clone(), replacements)
+    }
+
+    /// The same device taken for another: for tests of what other adapters run. What comes out is right where
+    /// it has what `caps` say: its subgroups must have at least [`Caps::subgroup_min`] invocations, and at most
+    /// [`Caps::subgroup_max`].
+    pub fn with_caps(&self, caps: Caps) -> Arc<Self> {
+        self.like(self.options.clone(), caps, self.pipelines.replacements.clone())
+    }
+
+    fn like(
+        &self,
+        options: GpuOptions,
+        caps: Caps,
+        replacements: Vec<shader::Replacement>,
+    ) -> Arc<Self> {
+        let device = (self.device.clone(), self.queue.clone(), self.info.clone());
+        Self::with(device, (options, self.loss.clone(), self.foreign), caps, replacements)
     }
 
     /// The adapter's name, backend and driver.

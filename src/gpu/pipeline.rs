@@ -39,15 +39,15 @@ struct Module {
 /// A device's shaders and pipelines so far.
 #[derive(Debug)]
 pub(super) struct Pipelines {
-    /// Another text for one shader file.
-    replacement: Option<shader::Replacement>,
+    /// Other texts for shader files.
+    pub replacements: Vec<shader::Replacement>,
     modules: Mutex<HashMap<(&'static str, Variant), Arc<Module>>>,
     compiled: Mutex<HashMap<PipelineKey, Arc<Pipeline>>>,
 }
 
 impl Pipelines {
-    pub fn new(replacement: Option<shader::Replacement>) -> Self {
-        Self { replacement, modules: Mutex::default(), compiled: Mutex::default() }
+    pub fn new(replacements: Vec<shader::Replacement>) -> Self {
+        Self { replacements, modules: Mutex::default(), compiled: Mutex::default() }
     }
 }
 
@@ -58,8 +58,7 @@ impl Gpu {
         if let Some(module) = modules.get(&key) {
             return Ok(module.clone());
         }
-        let reflection =
-            shader::reflect_with(shader, variant, self.pipelines.replacement.as_ref())?;
+        let reflection = shader::reflect_with(shader, variant, &self.pipelines.replacements)?;
         let desc = wgpu::ShaderModuleDescriptor {
             label: Some(shader.stem),
             source: wgpu::ShaderSource::Wgsl(reflection.text.as_str().into()),

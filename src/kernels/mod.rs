@@ -59,8 +59,12 @@ use recording::{all_texels, of_maps, texels};
 /// What kernels ask of an adapter.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Caps {
-    /// Invocations of a subgroup where it has subgroups of one size.
-    pub subgroup: Option<u32>,
+    /// Fewest invocations of a subgroup; 0 where shaders have no subgroups.
+    pub subgroup_min: u32,
+    /// Most invocations of a subgroup. A driver may give each shader a size of its own.
+    pub subgroup_max: u32,
+    /// Kind of device.
+    pub kind: Kind,
     /// Longest side of a two-dimensional texture.
     pub texture_side: u32,
     /// Most bytes of a storage buffer that a shader binds.
@@ -70,8 +74,56 @@ pub struct Caps {
 impl Default for Caps {
     /// What WebGPU promises.
     fn default() -> Self {
-        Self { subgroup: None, texture_side: 8192, buffer_bytes: 128 << 20 }
+        Self {
+            subgroup_min: 0,
+            subgroup_max: 0,
+            kind: Kind::Other,
+            texture_side: 8192,
+            buffer_bytes: 128 << 20,
+        }
     }
+}
+
+impl Caps {
+    /// Least and largest subgroups of the adapters that there are, each once; first of those without.
+    pub const SUBGROUPS: [[u32; 2]; 11] = [
+        [0, 0],
+        // Of one size: SwiftShader, lavapipe, Mali and V3D, NVIDIA, AMD's GCN.
+        [4, 4],
+        [8, 8],
+        [16, 16],
+        [32, 32],
+        [64, 64],
+        // Of several: what wgpu knows of Metal, Intel, AMD's RDNA, Adreno, drivers that tell none.
+        [4, 64],
+        [8, 32],
+        [32, 64],
+        [64, 128],
+        [4, 128],
+    ];
+
+    /// The same with subgroups from `min` to `max` invocations.
+    pub fn with_subgroups(self, [min, max]: [u32; 2]) -> Self {
+        Self { subgroup_min: min, subgroup_max: max, ..self }
+    }
+
+    /// Whether it has so many cores that few workgroups leave it idle.
+    pub fn has_many_cores(&self) -> bool {
+        self.kind != Kind::Software
+    }
+}
+
+/// What an adapter is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A GPU with memory of its own.
+    Discrete,
+    /// A GPU that shares the host's memory.
+    Integrated,
+    /// The host's cores.
+    Software,
+    /// A GPU of which no more is known: a browser's, or a virtual machine's.
+    Other,
 }
 
 /// An operation on inputs of known shapes, for which a kernel is sought.

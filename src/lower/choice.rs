@@ -32,6 +32,16 @@ impl Choice {
         }
     }
 
+    /// A kernel that it names and that its operation does not have, and for what.
+    pub fn unknown(&self) -> Option<(&str, &str)> {
+        let is_of = |op: &str, kernel: &str| kernels::named(op).iter().any(|k| k.id() == kernel);
+        let by_shape = self.by_shape.iter().map(|(key, kernel)| (key.as_str(), kernel.as_str()));
+        let mut by_shape = by_shape
+            .filter(|(key, kernel)| !is_of(key.split(' ').next().unwrap_or_default(), kernel));
+        let mut forced = self.forced.iter().filter(|id| kernels::find(id).is_none());
+        by_shape.next().or_else(|| forced.next().map(|id| ("all that it fits", id.as_str())))
+    }
+
     /// A number that tells choices apart; equal bits are promised for one choice on one device.
     pub fn digest(&self) -> u64 {
         let pairs = self.by_shape.iter().flat_map(|(key, kernel)| [key, kernel]);

@@ -141,8 +141,8 @@ mod tests {
     #[test]
     fn nothing_dispatched_by_count_asks_how_many_workgroups_there_are() {
         let mut found = BTreeSet::new();
-        for subgroup in [None, Some(4), Some(8), Some(32)] {
-            let caps = Caps { subgroup, ..Caps::default() };
+        for sizes in Caps::SUBGROUPS {
+            let caps = Caps::default().with_subgroups(sizes);
             let counted = OPS.iter().flat_map(|entry| (entry.cases)());
             for case in counted.filter(|case| case.op.inputs().contains(&"count")) {
                 let mut graph = Graph::default();

@@ -80,13 +80,13 @@ fn has(shader: &Shader, file: &str) -> bool {
 
 /// The shaders that have `file`, as an adapter reads them.
 fn shaders(file: &str) -> Vec<(&'static Shader, Variant)> {
-    let all = kernels::shaders(&Caps { subgroup: Some(8), ..Caps::default() });
+    let all = kernels::shaders(&Caps::default().with_subgroups([8, 8]));
     all.into_iter().filter(|(shader, _)| has(shader, file)).collect()
 }
 
 /// The operations of which a kernel has `file`.
 pub fn users(file: &str) -> Vec<&'static Entry> {
-    let caps = Caps { subgroup: Some(8), ..Caps::default() };
+    let caps = Caps::default().with_subgroups([8, 8]);
     let has = |op: &&Entry| {
         let kernels = kernels::named(op.name).iter().flat_map(|k| k.shaders(&caps));
         kernels.into_iter().any(|(shader, _)| has(shader, file))

@@ -3,13 +3,10 @@
 use smr_gpu::kernels::{self, Caps};
 use smr_gpu::shader::{Shader, Variant};
 
-/// Sizes of a subgroup; `None` for an adapter that has none, or none of one size.
-const SUBGROUPS: [Option<u32>; 6] = [None, Some(4), Some(8), Some(16), Some(32), Some(64)];
-
 pub fn all() -> Vec<(&'static Shader, Variant)> {
     let mut found: Vec<(&'static Shader, Variant)> = Vec::new();
-    for subgroup in SUBGROUPS {
-        for (shader, variant) in kernels::shaders(&Caps { subgroup, ..Caps::default() }) {
+    for sizes in Caps::SUBGROUPS {
+        for (shader, variant) in kernels::shaders(&Caps::default().with_subgroups(sizes)) {
             if !found.iter().any(|(s, v)| s.stem == shader.stem && *v == variant) {
                 found.push((shader, variant));
             }

@@ -10,7 +10,7 @@
 // sums lose fewer digits. Where the blocks are split, a workgroup sums some of them as a picture of its
 // own, and `conv2d/join` adds those up.
 //
-// Constants: WORKGROUP invocations.
+// Constants: WORKGROUP invocations, with SUBGROUPS whole ones.
 
 // include: quads
 // include: texels

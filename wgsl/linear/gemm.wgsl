@@ -1,11 +1,11 @@
 // A fully connected layer with bias and optional ReLU, over the rows in use.
 //
-// `partial`: lanes are outputs. One invocation computes four outputs, LANES apart, of sixteen rows: it
-// reads its own weights; each lane reads a row's inputs and spreads them to all. Slices of the inputs
-// give the device enough to do at few rows, and shorter sums are more accurate. `finish` adds the
-// slices and the bias.
+// `partial`: invocations are outputs. One computes four outputs, WORKGROUP apart, of sixteen rows: it
+// reads its own weights; each lane reads a row's inputs and spreads them to all of its subgroup. Slices
+// of the inputs give the device enough to do at few rows, and shorter sums are more accurate. `finish`
+// adds the slices and the bias.
 //
-// Constants: LANES of a subgroup, which is a workgroup. With ALIGNED, a row is a whole number of vec4.
+// Constants: WORKGROUP invocations, whole subgroups. With ALIGNED, a row is a whole number of vec4.
 
 struct Params {
     rows: u32,
@@ -17,7 +17,7 @@ struct Params {
     slice_quads: u32,
     // Columns of `weight`.
     weight_width: u32,
-    // Tiles of 4 * LANES outputs.
+    // Tiles of 4 * WORKGROUP outputs.
     tiles: u32,
     relu: u32,
     // Always 0.
@@ -32,7 +32,7 @@ struct Params {
 @group(0) @binding(2) var<storage, read> input: array<f32>;
 #endif
 // A texel is one output's weights of four inputs, zero in the padding. Texels lie as they are read: by
-// tile of 4 * LANES outputs, quad of inputs, output of the tile.
+// tile of 4 * WORKGROUP outputs, quad of inputs, output of the tile.
 #if HALF_WEIGHT
 @group(0) @binding(3) var weight: texture_storage_2d<rgba16float, read>;
 // What each output's sum is to be multiplied with: a power of two.
@@ -77,7 +77,7 @@ struct Sums {
 
 const ROWS: u32 = 16u;
 
-@compute @workgroup_size(LANES)
+@compute @workgroup_size(WORKGROUP)
 fn partial(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
@@ -90,7 +90,7 @@ fn partial(
     }
     let tile = workgroup.z / params.slices;
     let slice = workgroup.z % params.slices;
-    let tile_width = 4u * LANES;
+    let tile_width = 4u * WORKGROUP;
     let last_row = rows - 1u;
     let first_quad = slice * params.slice_quads;
     let end = min(first_quad + params.slice_quads, (params.inner + 3u) / 4u);
@@ -101,9 +101,9 @@ fn partial(
     for (var quad = first_quad; quad < end; quad++) {
         let w = Four(
             textureLoad(weight, at),
-            textureLoad(weight, at + vec2<u32>(LANES, 0u)),
-            textureLoad(weight, at + vec2<u32>(2u * LANES, 0u)),
-            textureLoad(weight, at + vec2<u32>(3u * LANES, 0u)),
+            textureLoad(weight, at + vec2<u32>(WORKGROUP, 0u)),
+            textureLoad(weight, at + vec2<u32>(2u * WORKGROUP, 0u)),
+            textureLoad(weight, at + vec2<u32>(3u * WORKGROUP, 0u)),
         );
         at.x += tile_width;
         at = select(at, vec2<u32>(local, at.y + 1u), at.x == wrap);
@@ -147,7 +147,7 @@ fn partial(
     let row_width = params.tiles * tile_width;
     for (var output_index = 0u; output_index < 4u + params.zero; output_index++) {
         var to = (slice * params.rows + first_row) * row_width
-            + tile * tile_width + output_index * LANES + local;
+            + tile * tile_width + output_index * WORKGROUP + local;
         for (var row = 0u; row < used; row++) {
             partials[to] = results[output_index * (ROWS / 4u) + row / 4u][row % 4u];
             to += row_width;
@@ -166,7 +166,7 @@ fn finish(
     if row >= min(count[0], params.rows) {
         return;
     }
-    let row_width = params.tiles * 4u * LANES;
+    let row_width = params.tiles * 4u * WORKGROUP;
     var at = row * row_width + column;
     var sum = bias[column];
     for (var slice = 0u; slice < params.slices; slice++) {

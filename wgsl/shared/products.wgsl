@@ -19,7 +19,7 @@ fn add_products(sums: mat4x4<f32>, w: Four, x: mat4x4<f32>) -> mat4x4<f32> {
 }
 
 #if SUBGROUPS
-// What the first four lanes hold, and so on.
+// What the first four lanes of a subgroup hold, and so on. It may have more, but no fewer.
 fn first(w: vec4<f32>) -> Four {
     return Four(
         subgroupBroadcast(w, 0u),

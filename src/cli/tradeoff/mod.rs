@@ -101,7 +101,13 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let weights = setups::weights(&args.weights)?;
     let mut outputs = Outputs::sparing(weights.iter().map(|(_, file, _)| file));
     let gpu = match &args.device {
-        Device::Auto => open_gpu(&"gpu".parse::<Device>()?).ok().flatten(),
+        Device::Auto => match open_gpu(&"gpu".parse::<Device>()?) {
+            Ok(gpu) => gpu,
+            Err(failure) => {
+                failure.told();
+                None
+            }
+        },
         device => open_gpu(device)?,
     };
     let gpu = gpu.map(|gpu| (gpu, args.device.clone()));

@@ -75,7 +75,7 @@ impl Taps {
     /// `weights` says how those are stored; for the maps see [`Recording::dispatch_maps`].
     fn variant(self, tile: &Tile, weights: Precision) -> Variant {
         let variant = Variant::of(&[("WORKGROUP", tile.workgroup)]);
-        let variant = tile.lanes.variant(variant).with("THREE_TAPS", self.number() == 3);
+        let variant = Lanes::variant(tile.lanes, variant).with("THREE_TAPS", self.number() == 3);
         let variant = variant.with("STRIDE_TWO", self == Self::ThreeOfStrideTwo);
         variant.with("HALF_WEIGHT", weights.is_half())
     }
@@ -128,7 +128,7 @@ pub(in crate::kernels) enum Manner {
 /// What one invocation computes, and how many there are in a workgroup.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Tile {
-    lanes: Lanes,
+    lanes: Option<Lanes>,
     channels: usize,
     pixels: usize,
     workgroup: u32,
@@ -138,12 +138,11 @@ impl Tile {
     /// `None` where the manner needs subgroups and there are none.
     fn of(manner: Manner, caps: &Caps) -> Option<Self> {
         match manner {
-            Manner::Alone => {
-                Some(Self { lanes: Lanes(None), channels: 4, pixels: 8, workgroup: 32 })
-            }
+            Manner::Alone => Some(Self { lanes: None, channels: 4, pixels: 8, workgroup: 32 }),
             Manner::Whole | Manner::Split => {
-                let lanes = Lanes::of(caps);
-                lanes.0.map(|workgroup| Self { lanes, channels: 16, pixels: 4, workgroup })
+                let lanes = Lanes::of(caps)?;
+                let workgroup = lanes.workgroup;
+                Some(Self { lanes: Some(lanes), channels: 16, pixels: 4, workgroup })
             }
         }
     }
@@ -363,8 +362,7 @@ impl Kernel for Direct {
 
     fn preferred(&self, work: &Work) -> bool {
         let idle = |plan: Plan| plan.busy < ENOUGH;
-        !self.is_split()
-            || Lanes::of(work.caps).of_many_cores() && self.plan(work).is_some_and(idle)
+        !self.is_split() || work.caps.has_many_cores() && self.plan(work).is_some_and(idle)
     }
 
     fn reads(&self, work: &Work, index: usize) -> Layout {
@@ -492,7 +490,7 @@ mod tests {
     use super::*;
 
     fn tile(channels: usize) -> Tile {
-        Tile { lanes: Lanes(None), channels, pixels: 8, workgroup: 32 }
+        Tile { lanes: None, channels, pixels: 8, workgroup: 32 }
     }
 
     /// 5 outputs of 6 channels by a 1 × 2 kernel in tiles of 4: output o of channel i at tap t is
@@ -546,7 +544,7 @@ mod tests {
     #[test]
     fn all_parts_fit_a_buffer() {
         let fits = |manner, buffer_bytes| {
-            let caps = Caps { subgroup: Some(32), buffer_bytes, ..Caps::default() };
+            let caps = Caps { buffer_bytes, ..Caps::default() }.with_subgroups([32, 32]);
             let inputs = [TensorSpec::f32([64, 1, 1]), TensorSpec::f32([64, 64, 1, 1])];
             Direct(manner).fits(&Work {
                 node: 0,

@@ -5,7 +5,6 @@ use std::borrow::Cow;
 use super::direct::Products;
 use super::{Sizes, padded_bias, weights_known};
 use crate::error::{Error, Result};
-use crate::kernels::products::Lanes;
 use crate::kernels::{
     Caps, Dispatch, Grid, Io, Kernel, Layout, MAX_WORKGROUPS, Quads, Recording, Work, all_texels,
     texels,
@@ -130,7 +129,7 @@ impl Kernel for Winograd {
     fn preferred(&self, work: &Work) -> bool {
         // Its weights are four times as many. Where they lie in the host's memory and the host makes
         // them before its first picture, that is for `tune` to choose.
-        Lanes::of(work.caps).of_many_cores()
+        work.caps.has_many_cores()
             && Plan::of(work).is_some_and(|plan| {
                 let Sizes { in_c, out_c, .. } = plan.sizes;
                 in_c.min(out_c) >= LEAST_CHANNELS && plan.tiles >= LEAST_TILES

@@ -42,10 +42,9 @@ const OUTPUTS: usize = 4;
 /// Invocations of a workgroup of `finish`.
 const FINISH: u32 = 64;
 
-fn variant(lanes: u32, inner: usize, weights: Precision) -> Variant {
-    let variant = Variant::of(&[("LANES", lanes)]);
-    Lanes(Some(lanes))
-        .variant(variant)
+fn variant(lanes: Lanes, inner: usize, weights: Precision) -> Variant {
+    let variant = Variant::of(&[("WORKGROUP", lanes.workgroup)]);
+    Lanes::variant(Some(lanes), variant)
         .with("ALIGNED", inner.is_multiple_of(4))
         .with("HALF_WEIGHT", weights.is_half())
 }
@@ -53,7 +52,7 @@ fn variant(lanes: u32, inner: usize, weights: Precision) -> Variant {
 /// A layer cut into workgroups.
 #[derive(Clone, Copy, Debug)]
 struct Plan {
-    lanes: u32,
+    lanes: Lanes,
     outputs: usize,
     inner: usize,
     /// Outputs of a workgroup, and workgroups for all.
@@ -69,9 +68,9 @@ impl Plan {
     /// `None` without subgroups, for weights that fit no texture, and for more rows than a buffer has
     /// room for with the outputs of whole tiles.
     fn of(work: &Work) -> Option<Self> {
-        let lanes = Lanes::of(work.caps).0?;
+        let lanes = Lanes::of(work.caps)?;
         let [outputs, inner] = [0, 1].map(|i| work.inputs[1].shape.0[i]);
-        let tile = OUTPUTS * lanes as usize;
+        let tile = OUTPUTS * lanes.workgroup as usize;
         let tiles = outputs.div_ceil(tile);
         let (slices, slice_quads) = slices(inner);
         let side = work.caps.texture_side as usize;
@@ -115,7 +114,7 @@ impl Kernel for Gemm {
     }
 
     fn shaders(&self, caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        let lanes = Lanes::of(caps).0;
+        let lanes = Lanes::of(caps);
         let all = [4, 1]
             .into_iter()
             .flat_map(|inner| [Precision::F32, Precision::F16].map(|weights| (inner, weights)));
@@ -213,11 +212,11 @@ fn moved(inputs: &[&Value]) -> Result<Vec<f64>> {
 mod tests {
     use super::*;
 
-    /// One output of a row takes a whole tile, of four outputs a lane.
+    /// One output of a row takes a whole tile, of four outputs an invocation.
     #[test]
     fn sums_fit_a_buffer() {
         let fits = |rows: usize, lanes: u32| {
-            let caps = Caps { subgroup: Some(lanes), ..Caps::default() };
+            let caps = Caps::default().with_subgroups([4, lanes]);
             let inputs =
                 [TensorSpec::f32([rows, 1]), TensorSpec::f32([1, 1]), TensorSpec::f32([1])];
             Plan::of(&Work {
@@ -242,8 +241,9 @@ mod tests {
     #[test]
     fn weights_lie_as_they_are_read() {
         let (slices, slice_quads) = slices(5);
+        let lanes = Lanes::of(&Caps::default().with_subgroups([8, 8])).expect("subgroups");
         let plan = Plan {
-            lanes: 8,
+            lanes,
             outputs: 33,
             inner: 5,
             tile: 32,

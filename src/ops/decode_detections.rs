@@ -380,7 +380,7 @@ fn torchvision() -> Case {
     )
     .by_hand(vec![
         values([6, 4], golden.as_flattened()),
-        values([6], &[0.125, 0.75, 0.5, 0.25, 1.0, 3.783_505_9e-44]),
+        values([6], &[0.125, 0.75, 0.5, 0.25, 1.0, 3.8e-44]),
         values([6], &[-ln7, ln3, 0.0, -ln3, 40.0, -100.0]),
         integers([6], &[1, 2, 1, 2, 1, 2]),
         integers([1], &[6]),

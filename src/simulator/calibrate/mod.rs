@@ -292,7 +292,6 @@ fn read_text(path: &Path) -> Result<String, Error> {
 
 /// The table as spreadsheets write it, too: cells in quotes or among blanks, with semicolons or tabs between them
 /// and then perhaps commas in numbers, empty cells and lines at the end.
-
 fn read_presses(folder: &Path, path: &Path, background: &RgbImage) -> Result<Vec<Press>, Error> {
     let text = read_text(path)?;
     let bad = |path: &Path, expected: &str, found: &str| Error::Content {

@@ -59,7 +59,7 @@ pub struct Gpu {
     /// Bytes that wait to be uploaded.
     pub(super) uploads: Mutex<usize>,
     turns: Mutex<()>,
-    pub(super) poller: Poller,
+    pub(super) poller: Arc<Poller>,
     pub(super) clock: Clock,
     pub(super) pipelines: Pipelines,
 }
@@ -99,7 +99,8 @@ impl Gpu {
                 faults.stray(e.to_string());
             }
         }));
-        Ok(Self::with(device, queue, options, loss, false, None))
+        let poller = Arc::new(Poller::new(&device, &loss)?);
+        Ok(Self::with(device, queue, options, (loss, poller), false, None))
     }
 
     /// Takes a device that a program has already, for runs of at most `timeout`. Its handlers stay what
@@ -134,20 +135,22 @@ impl Gpu {
             return Err(Error::Device { adapter, message: missing.join("; ") });
         }
         let options = GpuOptions { timeout, ..GpuOptions::default() };
-        Ok(Self::with(device, queue, options, Loss::default(), true, None))
+        let loss = Loss::default();
+        let poller = Arc::new(Poller::new(&device, &loss)?);
+        Ok(Self::with(device, queue, options, (loss, poller), true, None))
     }
 
     fn with(
         device: wgpu::Device,
         queue: wgpu::Queue,
         options: GpuOptions,
-        loss: Loss,
+        (loss, poller): (Loss, Arc<Poller>),
         foreign: bool,
         replacement: Option<shader::Replacement>,
     ) -> Arc<Self> {
         let info = device.adapter_info();
         Arc::new(Self {
-            poller: Poller::new(&device, &loss),
+            poller,
             caps: caps(&info, device.features(), &device.limits()),
             device,
             queue,
@@ -168,8 +171,8 @@ impl Gpu {
     pub fn with_replacement(&self, replacement: shader::Replacement) -> Arc<Self> {
         let options = GpuOptions { checked: true, ..self.options.clone() };
         let (device, queue) = (self.device.clone(), self.queue.clone());
-        let loss = self.loss.clone();
-        Self::with(device, queue, options, loss, self.foreign, Some(replacement))
+        let watch = (self.loss.clone(), self.poller.clone());
+        Self::with(device, queue, options, watch, self.foreign, Some(replacement))
     }
 
     /// The adapter's name, backend and driver.

@@ -70,7 +70,7 @@ pub enum Error {
     #[error("the GPU device was lost: {0}")]
     DeviceLost(String),
     /// The device did not finish in time.
-    #[error("the GPU did not finish {stage} within {seconds} s")]
+    #[error("the device did not finish {stage} within {seconds} s")]
     Timeout {
         /// What was waited for.
         stage: String,

@@ -115,6 +115,25 @@ impl<'a> Frame<'a> {
         Ok(())
     }
 
+    /// The bytes of this checked frame in which `part` lies, and the crop that shows all of it in its own
+    /// size; `None` where pixels do not follow one another as in a picture, or are more than [`MAX_PIXELS`].
+    pub(crate) fn own_bytes(&self, part: Rect) -> Option<(&[u8], Crop)> {
+        let each = self.format.bytes_per_pixel();
+        let [x, top, columns, rows] = [part.x, part.y, part.width, part.height].map(|n| n as usize);
+        if self.format.is_mosaic() || !self.stride.is_multiple_of(each) {
+            return None;
+        }
+        // Whole rows, which the last one need not be.
+        let bytes = self.data.get(top * self.stride..)?.get(..self.stride.checked_mul(rows)?)?;
+        if bytes.len() > 4 * MAX_PIXELS || columns * rows > MAX_PIXELS {
+            return None;
+        }
+        let (width, resized) = (self.stride / each, [columns, rows]);
+        let (height, y, window, format) = (rows, 0, [0; 2], self.format);
+        let crop = Crop { width, height, x, y, columns, rows, resized, window, format };
+        Some((bytes, crop))
+    }
+
     /// The bytes of a part of a checked frame, four a word, and the crop that shows all of it in its own
     /// size. A Bayer pattern becomes RGB here: what a shader does for it alone, it does for all on a software
     /// adapter.
@@ -210,6 +229,43 @@ mod tests {
                 crop.rgb(&bytes, 0..crop.columns, y, &mut converted).as_chunks().0.to_vec()
             })
             .collect()
+    }
+
+    /// What the frame's own bytes show is what a copy of them does.
+    #[test]
+    fn bytes_are_borrowed_where_they_lie_as_in_a_picture() {
+        let data: Vec<u8> = (0..240).collect();
+        let whole = |frame: &Frame| Rect { x: 0, y: 0, width: frame.width, height: frame.height };
+        let inner = Rect { x: 1, y: 2, width: 3, height: 2 };
+        for format in PixelFormat::OWN_COLOURS {
+            let each = format.bytes_per_pixel();
+            for padding in [0, each, 3 * each] {
+                let frame = Frame::new(&data, 5, 5, format).stride(5 * each + padding);
+                for part in [whole(&frame), inner] {
+                    let (own, crop) = frame.own_bytes(part).expect("bytes of its own");
+                    let (copied, all) = frame.bytes(part).expect("a sound frame");
+                    let copied: &[u8] = bytemuck::cast_slice(copied.data());
+                    crop.to_tensor(own.len().div_ceil(4)).expect("all of it is there");
+                    for y in 0..crop.rows {
+                        let rows = [(&crop, own), (&all, copied)].map(|(crop, bytes)| {
+                            let mut line = vec![[0; 3]; crop.columns];
+                            crop.rgb(bytes, 0..crop.columns, y, &mut line).to_vec()
+                        });
+                        assert_eq!(rows[0], rows[1], "{format:?}, {padding}, row {y}");
+                    }
+                }
+            }
+        }
+        let rgb = |stride| Frame::new(&data, 5, 5, PixelFormat::Rgb8).stride(stride);
+        let ends_early = Frame::new(&data[..4 * 18 + 15], 5, 5, PixelFormat::Rgb8).stride(18);
+        let mosaic = Frame::new(&data, 5, 5, PixelFormat::BayerRggb8);
+        for frame in [rgb(16), ends_early, mosaic] {
+            assert!(frame.own_bytes(whole(&frame)).is_none(), "{frame:?}");
+        }
+        assert!(rgb(18).own_bytes(inner).is_some());
+        let large = vec![0; 5793 * 5793];
+        let large = Frame::new(&large, 5793, 5793, PixelFormat::Gray8);
+        assert!(large.own_bytes(whole(&large)).is_none());
     }
 
     fn refusal(frame: &Frame) -> String {

@@ -392,6 +392,14 @@ impl Graph {
         self.nodes.iter().map(move |n| (n.op.as_ref(), specs(n)))
     }
 
+    /// Multiplications that the operations ask for, as [`Op::multiply_adds`] counts them.
+    pub(crate) fn multiply_adds(&self) -> u64 {
+        let specs =
+            |ids: &[TensorId]| -> Vec<_> { ids.iter().map(|id| self.spec(*id).clone()).collect() };
+        let of = |node: &Node| node.op.multiply_adds(&specs(&node.inputs), &specs(&node.outputs));
+        self.nodes.iter().map(of).fold(0, u64::saturating_add)
+    }
+
     /// The names of the stages, in order.
     pub fn stages(&self) -> &[String] {
         &self.stages

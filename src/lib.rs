@@ -77,6 +77,7 @@ pub mod check;
 #[cfg(feature = "eval")]
 pub mod coco;
 pub mod comparison;
+mod cores;
 pub mod cpu;
 pub mod detector;
 pub mod error;

@@ -219,3 +219,36 @@ fn impossible_configurations_are_refused() {
     let error = refused(&|c| c.device = "no such adapter".parse::<Device>().expect("a device"));
     assert!(matches!(&error, Error::NoAdapter { wanted, .. } if wanted == "no such adapter"));
 }
+
+/// Between two kernels the CPU looks at the clock; how long one may take is no part of a test.
+#[test]
+fn the_cpu_is_held_to_the_time_limit() {
+    let config = config().device(Device::Cpu).timeout(std::time::Duration::ZERO);
+    let detector = GpuDetector::new(config).expect("a detector");
+    let picture = image::open(file("samples/mixed.png")).expect("a sample");
+    let error = detector.detect(&picture).expect_err("a limit");
+    assert!(matches!(error, Error::Timeout { .. }), "{error}");
+    let message = error.to_string();
+    assert!(message.contains("did not finish the network, at stage `"), "{message}");
+}
+
+/// A frame whose bytes the CPU reads where they are has the detections of one that it copies.
+#[test]
+fn a_borrowed_frame_shows_what_a_copied_one_does() {
+    let picture = image::open(file("samples/mixed.png")).expect("a sample").to_rgb8();
+    let (width, height) = picture.dimensions();
+    // Rows that begin at no pixel are copied.
+    let row = 3 * width as usize;
+    let mut apart = vec![7; (row + 1) * height as usize];
+    for (to, from) in apart.chunks_exact_mut(row + 1).zip(picture.as_raw().chunks_exact(row)) {
+        to[..row].copy_from_slice(from);
+    }
+    let detector = GpuDetector::new(config().device(Device::Cpu)).expect("a detector");
+    let look = |frame: &Frame| detector.detect_frame(frame).expect("detections");
+    let borrowed = look(&Frame::new(picture.as_raw(), width, height, PixelFormat::Rgb8));
+    let copied = Frame::new(&apart, width, height, PixelFormat::Rgb8).stride(row + 1);
+    let copied = look(&copied);
+    assert!(!borrowed.detections.is_empty());
+    assert_eq!(borrowed.detections, copied.detections);
+    assert_eq!(borrowed.stages[0].stage, "frame");
+}

@@ -83,6 +83,30 @@ fn an_adapter_gives_the_same_bits() {
     same_bits(&on(gpu.clone()), &[on(gpu.clone()), on(other)]);
 }
 
+/// The program on one core and on all that there are.
+#[cfg(target_os = "linux")]
+#[test]
+fn the_cpu_gives_the_same_bits_on_any_number_of_threads() {
+    let run = |cores: &str, weights: &str| {
+        let mut command = std::process::Command::new("taskset");
+        command.args(["--cpu-list", cores, env!("CARGO_BIN_EXE_smr-gpu"), "detect", "--exact"]);
+        command.args(["--device", "cpu", "--json", "--conf", "0.001", "--weights", weights]);
+        command.args(["samples/mixed.png", "samples/hooks.png"]);
+        let output = command.current_dir(env!("CARGO_MANIFEST_DIR")).output().expect("taskset");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let lines = String::from_utf8(output.stdout).expect("text");
+        let of = |line| serde_json::from_str::<serde_json::Value>(line).expect("JSON");
+        lines.lines().map(of).map(|found| found["detections"].clone()).collect::<Vec<_>>()
+    };
+    let last = thread::available_parallelism().map_or(1, usize::from) - 1;
+    for weights in ["weights/smrnet.safetensors", "weights/smrnet-s.safetensors"] {
+        let one = run("0", weights);
+        let count = one.iter().flat_map(|found| found.as_array()).flatten().count();
+        assert!(count > 2, "only {count} detections to compare");
+        assert_eq!(one, run(&format!("0-{last}"), weights), "{weights}");
+    }
+}
+
 #[test]
 fn the_cpu_gives_the_same_bits() {
     let new = || GpuDetector::new(config().device(Device::Cpu)).expect("a detector");

@@ -84,7 +84,7 @@ fn imports_run_one_way() {
     assert!(places["error"] < places["cpu"] && places["lower"] < places["gpu"], "{places:?}");
     // What is too small for a row, and what stands below all: the program, and names at the root.
     let root = usize::MAX;
-    places.extend(["lock", "milliseconds", "pixel_format", "rect"].map(|name| (name, 0)));
+    places.extend(["cores", "lock", "milliseconds", "pixel_format", "rect"].map(|name| (name, 0)));
     places.extend([("Error", 0), ("Result", 0), ("cli", root), ("main", root), ("lib", root)]);
     let place = |name: &str| places.get(name).copied();
     let mut failures = Vec::new();

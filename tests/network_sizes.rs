@@ -5,8 +5,9 @@ mod support;
 use std::collections::BTreeSet;
 use std::path::Path;
 
+use smr_gpu::Error;
 use smr_gpu::check::check_expected;
-use smr_gpu::model::{Network, Wanted, Weights};
+use smr_gpu::model::{MOST_WORK, ModelConfig, Network, Wanted, Weights};
 use smr_gpu::ops::{Expected, OPS, Op};
 use smr_gpu::shape::TensorSpec;
 use smr_gpu::tensor::{Tensor, Value};
@@ -98,4 +99,20 @@ fn an_input_in_half_precision_fails_at_every_size_of_the_network() {
         failures.join("\n")
     );
     assert!(tried > 100, "only {tried}");
+}
+
+/// Layers within all ranges that would take a core half a minute.
+#[test]
+fn a_network_that_asks_for_too_much_work_is_refused() {
+    let large = || ModelConfig::large();
+    let network = |config: ModelConfig, size| {
+        Network::new(Weights::random(config, 1), size, Wanted::ALL).map(|_| ())
+    };
+    network(large(), [320; 2]).expect("the large network");
+    network(large(), [1440; 2]).expect("the large network on the largest input");
+    let deep = ModelConfig { blocks: [64; 4], ..large() };
+    let error = network(deep, [320; 2]).expect_err("an error");
+    assert!(matches!(error, Error::Capacity { available: MOST_WORK, .. }), "{error}");
+    let message = error.to_string();
+    assert!(message.contains("multiplications of the weights at 320 × 320 pixels"), "{message}");
 }

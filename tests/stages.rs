@@ -358,7 +358,7 @@ fn every_variant_matches_its_reference_and_pytorch() {
         let slot = Slot::of(support::gpu(), graph, &keep, options);
         let mut slot = pollster::block_on(slot).expect("a slot");
         let got = slot.run(&inputs).expect("a run").first();
-        let mut plan = HostPlan::new(graph, &keep, None).expect("a plan");
+        let plan = HostPlan::new(graph, &keep, None).expect("a plan");
         let (host, _) = plan.run(graph, &inputs).expect("a run");
         for (name, rows) in [
             ("rpn.cls", None),

@@ -87,7 +87,7 @@ pub(super) struct NetworkArgs {
     #[arg(long, value_name = "f32|f16", value_parser = known::<Precision>)]
     precision: Option<Precision>,
 
-    /// Longest wait for one picture on a GPU, in seconds.
+    /// Longest wait for one picture, in seconds; the f64 reference is not held to it.
     #[arg(long, default_value = "120", value_name = "SECONDS", value_parser = seconds)]
     #[arg(allow_negative_numbers = true)]
     timeout: Duration,

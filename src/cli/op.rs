@@ -16,7 +16,7 @@ use super::output::line;
 use super::tensors;
 
 /// Largest output of an operation; a device's limits are below it.
-const MAX_OUTPUT_BYTES: u64 = 1 << 30;
+const MAX_OUTPUT_BYTES: u64 = 256 << 20;
 
 /// Run one operation on tensors from a file
 ///

@@ -12,7 +12,7 @@ use smr_gpu::tensor::{Tensor, Value};
 use super::exit::{Exit, Failure};
 
 /// Longest file that is read.
-const MAX_BYTES: u64 = 1 << 30;
+const MAX_BYTES: u64 = 256 << 20;
 
 /// Reads every tensor of a file. F16 and F32 become f32; U32, I32 and I64 become u32.
 ///

@@ -1,7 +1,6 @@
 //! 2-D convolution.
 
-use rayon::prelude::*;
-
+use crate::cores::each;
 use crate::cpu::shared;
 use crate::tensor::Tensor;
 
@@ -62,7 +61,7 @@ pub fn conv2d(
         return output;
     }
     let padded = Padded::new(input, shape, [kh, kw]);
-    output.data_mut().par_chunks_mut(area).enumerate().for_each(|(o, out)| {
+    each(output.data_mut().chunks_mut(area).enumerate(), |(o, out)| {
         let taps = &weight.data()[o * in_c * kh * kw..][..in_c * kh * kw];
         let first = bias.map_or(0.0, |b| f64::from(b.data()[o]));
         let sums = shared::vectorised(|| padded.sums(taps, first, [out_h, out_w]));

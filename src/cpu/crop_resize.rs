@@ -2,8 +2,7 @@
 
 use std::ops::Range;
 
-use rayon::prelude::*;
-
+use crate::cores::each;
 use crate::pixel_format::PixelFormat;
 use crate::tensor::Tensor;
 
@@ -89,7 +88,7 @@ pub fn crop_resize(
     let [columns, lines] = [crop.filters(0, width), crop.filters(1, height)];
     let bytes: Vec<u8> = picture.data().iter().flat_map(|word| word.to_le_bytes()).collect();
     let mut rows = vec![[0.0; 3]; height * width];
-    rows.par_chunks_mut(width.max(1)).zip(&lines).for_each(|(out, (first, weights))| {
+    each(rows.chunks_mut(width.max(1)).zip(&lines), |(out, (first, weights))| {
         let mut line = vec![[0.0; 3]; crop.columns];
         let mut converted = vec![[0; 3]; crop.columns];
         for (j, weight) in weights.iter().enumerate() {

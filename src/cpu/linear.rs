@@ -1,7 +1,6 @@
 //! A fully connected layer.
 
-use rayon::prelude::*;
-
+use crate::cores::each;
 use crate::cpu::shared;
 use crate::tensor::Tensor;
 
@@ -17,7 +16,7 @@ pub fn linear(input: &Tensor, weight: &Tensor, bias: &Tensor, rows: usize, relu:
             *out = if relu { shared::relu(value) } else { value } as f32;
         }
     };
-    let rows = output.data_mut().par_chunks_mut(outputs).zip(input.data().par_chunks(inner));
-    rows.for_each(|part| shared::vectorised(|| row(part)));
+    let rows = output.data_mut().chunks_mut(outputs).zip(input.data().chunks(inner));
+    each(rows, |part| shared::vectorised(|| row(part)));
     output
 }

@@ -1,7 +1,6 @@
 //! 2-D maximum pooling.
 
-use rayon::prelude::*;
-
+use crate::cores::each;
 use crate::tensor::Tensor;
 
 /// The largest value in each window of `kernel` × `kernel` pixels, `stride` apart, on `[C, H, W]`
@@ -11,7 +10,7 @@ pub fn max_pool2d(input: &Tensor, kernel: usize, stride: usize, padding: usize) 
     let [channels, in_h, in_w] = [0, 1, 2].map(|i| input.dims()[i]);
     let [out_h, out_w] = [in_h, in_w].map(|n| (n + 2 * padding - kernel) / stride + 1);
     let mut output = Tensor::zeros([channels, out_h, out_w]);
-    output.data_mut().par_chunks_mut(out_w).enumerate().for_each(|(row, out)| {
+    each(output.data_mut().chunks_mut(out_w).enumerate(), |(row, out)| {
         let plane = &input.data()[row / out_h * in_h * in_w..][..in_h * in_w];
         for (ox, out) in out.iter_mut().enumerate() {
             *out = f32::NEG_INFINITY;

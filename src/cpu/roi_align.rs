@@ -1,7 +1,6 @@
 //! RoIAlign (He et al., Mask R-CNN, §3), in torchvision's version with `aligned = true`.
 
-use rayon::prelude::*;
-
+use crate::cores::each;
 use crate::tensor::Tensor;
 
 /// How [`roi_align`] samples.
@@ -40,7 +39,7 @@ pub fn roi_align(features: &Tensor, boxes: &[[f32; 4]], grid: RoiGrid) -> Tensor
     let [channels, height, width] = [0, 1, 2].map(|i| features.dims()[i]);
     let mut output = Tensor::zeros([boxes.len(), channels, grid.size, grid.size]);
     let roi_len = channels * grid.size * grid.size;
-    output.data_mut().par_chunks_mut(roi_len).zip(boxes).for_each(|(out, b)| {
+    each(output.data_mut().chunks_mut(roi_len).zip(boxes), |(out, b)| {
         for (i, out) in out.iter_mut().enumerate() {
             let plane = &features.data()[i / (grid.size * grid.size) * height * width..];
             let (bin_y, bin_x) = (i / grid.size % grid.size, i % grid.size);

@@ -1,7 +1,6 @@
 //! Bilinear interpolation to another size.
 
-use rayon::prelude::*;
-
+use crate::cores::each;
 use crate::tensor::Tensor;
 
 /// Bilinear interpolation of `[C, H, W]` to `[C, out_height, out_width]`, clamped at the edges. The
@@ -9,7 +8,7 @@ use crate::tensor::Tensor;
 pub fn upsample_bilinear(input: &Tensor, out_height: usize, out_width: usize) -> Tensor {
     let [channels, in_h, in_w] = [0, 1, 2].map(|i| input.dims()[i]);
     let mut output = Tensor::zeros([channels, out_height, out_width]);
-    output.data_mut().par_chunks_mut(out_width).enumerate().for_each(|(row, out)| {
+    each(output.data_mut().chunks_mut(out_width).enumerate(), |(row, out)| {
         let (top, bottom, down) = between(row % out_height, in_h, out_height);
         let plane = &input.data()[row / out_height * in_h * in_w..][..in_h * in_w];
         for (ox, out) in out.iter_mut().enumerate() {

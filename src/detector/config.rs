@@ -146,14 +146,16 @@ pub struct Config {
     pub max_detections: usize,
     /// Names of the wanted classes; empty for all.
     pub classes: Vec<String>,
-    /// Longest wait for one picture on a GPU, from the call on; without the time that it takes to make ready for
+    /// Longest wait for one picture, from the call on, on a GPU or, between its kernels, on the CPU; without the time that it takes to make ready for
     /// a size that no picture had lately. Of pictures that [`GpuDetector::detect_many`] begins ahead, each run
     /// has it for itself.
     pub timeout: Duration,
     /// Build everything anew when the device was lost, once a call, so that the next picture is found
     /// like any other.
     pub rebuild_on_loss: bool,
-    /// Runs that may be in flight on a GPU at a time; each takes memory once it is needed.
+    /// Runs that may be in flight on a GPU at a time, or be computed by the CPU; each takes memory once it is
+    /// needed. Fewer callers than cores share all cores, one waiting for the other's sections; as many as there
+    /// are cores compute on one each.
     pub in_flight: usize,
     /// Pictures, or parts of pictures, of one size that a run on a GPU takes together where there are as many:
     /// in [`GpuDetector::detect_many`], and with [`Scene::regions`].

@@ -6,7 +6,7 @@ use crate::cpu::{ContactRule, Crop, contact, crop_resize};
 use crate::detector::Config;
 use crate::detector::input::Input;
 use crate::detector::pool::Pool;
-use crate::detector::runner::{On, Runner};
+use crate::detector::runner::{Given, On, Runner};
 use crate::detector::view::View;
 use crate::error::Result;
 use crate::frame::Frame;
@@ -207,7 +207,7 @@ impl Detector {
     /// What running returns.
     pub async fn look(
         &self,
-        input: &Input,
+        input: &Input<'_>,
         reference: Option<&Value>,
         before: Option<&Value>,
         deadline: Deadline,
@@ -228,7 +228,9 @@ impl Detector {
                 }
             });
         }
-        let (mut values, stages) = self.runner.run(&self.graph, &[], &inputs, deadline).await?;
+        let picture = input.borrowed.map(|bytes| (self.picture, bytes));
+        let given = Given { inputs: &inputs, picture };
+        let (mut values, stages) = self.runner.run(&self.graph, &[], given, deadline).await?;
         let words = |id: TensorId| match values.get(&id) {
             Some(Value::U32(words)) => words.data().to_vec(),
             _ => Vec::new(),

@@ -2,7 +2,7 @@
 
 use crate::comparison::{How, Values};
 use crate::detector::Config;
-use crate::detector::runner::{On, Runner};
+use crate::detector::runner::{Given, On, Runner};
 use crate::error::Result;
 use crate::gpu::{Deadline, Gpu, Inputs};
 use crate::graph::{StageTime, TensorId};
@@ -56,13 +56,14 @@ impl Engine {
         inputs: &Inputs<'_>,
         deadline: Deadline,
     ) -> Result<(Values, Vec<StageTime>)> {
-        self.runner.run(&self.network.graph, &self.keep, inputs, deadline).await
+        let given = Given { inputs, picture: None };
+        self.runner.run(&self.network.graph, &self.keep, given, deadline).await
     }
 
     /// [`Engine::run`] of as many pictures as it was made for; the times add up to those of all.
     pub async fn run_all(
         &self,
-        pictures: &[&Inputs<'_>],
+        pictures: &[Given<'_>],
         deadline: Deadline,
     ) -> Result<(Vec<Values>, Vec<StageTime>)> {
         self.runner.run_all(&self.network.graph, &self.keep, pictures, deadline).await

@@ -117,6 +117,12 @@ impl Engines {
         self.pool.as_ref().map_or(Precision::F32, |_| self.config.precision)
     }
 
+    /// Whether the fast path on cores runs the network.
+    pub fn on_cores(&self) -> bool {
+        let reference = matches!(self.config.device, Device::Reference);
+        cfg!(feature = "cpu") && self.pool.is_none() && !reference
+    }
+
     /// Pictures that may run together.
     pub fn batch(&self) -> usize {
         self.pool.as_ref().map_or(1, |_| self.config.batch.max(1))

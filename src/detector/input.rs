@@ -1,6 +1,6 @@
 //! From a frame to what the network takes, and back from what it gives.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crate::comparison::Values;
 use crate::cpu::Crop;
@@ -13,7 +13,7 @@ use crate::graph::{StageTime, TensorId};
 use crate::model::{ModelConfig, Network};
 use crate::precision::Precision;
 use crate::rect::Rect;
-use crate::tensor::Value;
+use crate::tensor::{Tensor, Value};
 
 /// Deviations hold where the input is at the scale that they were fitted at, within this share.
 const SAME_SCALE: f64 = 0.05;
@@ -65,12 +65,18 @@ impl Geometry {
 }
 
 /// A picture as the network takes it, and where it lies in the frame.
-pub(super) struct Input {
+pub(super) struct Input<'a> {
     pub start: Instant,
     pub view: View,
     pub geometry: Geometry,
-    /// What the view's part is made from.
+    /// What the view's part is made from, a single word where the frame's own bytes are.
     pub pixels: Value,
+    /// The frame's own bytes.
+    pub borrowed: Option<&'a [u8]>,
+    /// Words that the part's bytes fill.
+    words: usize,
+    /// How long it took to make it.
+    took: Duration,
     crop: Crop,
     /// The crop of all of it, at the network's scale.
     whole: Value,
@@ -84,14 +90,37 @@ pub(super) struct Answer {
     pub deepest: bool,
 }
 
-impl Input {
+impl<'a> Input<'a> {
+    /// With the frame's own bytes if `borrow`, and if they are as the network reads them; else with a copy.
+    ///
     /// # Errors
     /// [`Error::Capacity`] for a part of the frame that is too large.
-    pub fn new(start: Instant, frame: &Frame, view: View, geometry: Geometry) -> Result<Self> {
-        let (pixels, crop) = frame.bytes(view.part)?;
+    pub fn new(
+        start: Instant,
+        frame: &'a Frame<'_>,
+        view: View,
+        geometry: Geometry,
+        borrow: bool,
+    ) -> Result<Self> {
+        let began = Instant::now();
+        let own = if borrow { frame.own_bytes(view.part) } else { None };
+        let (pixels, borrowed, crop) = match own {
+            Some((bytes, crop)) => (Tensor::zeros([1]), Some(bytes), crop),
+            None => {
+                let (pixels, crop) = frame.bytes(view.part)?;
+                (pixels, None, crop)
+            }
+        };
+        let words = borrowed.map_or(pixels.data().len(), |bytes| bytes.len().div_ceil(4));
         let crop = Crop { resized: geometry.resized, ..crop };
-        let whole = crop.to_tensor(pixels.data().len())?.into();
-        Ok(Self { start, view, geometry, pixels: pixels.into(), crop, whole })
+        let whole = crop.to_tensor(words)?.into();
+        let (pixels, took) = (pixels.into(), began.elapsed());
+        Ok(Self { start, view, geometry, pixels, borrowed, words, took, crop, whole })
+    }
+
+    /// The time that it took to get at the frame's bytes.
+    pub fn taken(&self) -> StageTime {
+        StageTime { stage: "frame".to_owned(), time: self.took }
     }
 
     /// The crop of all of the view's part, resized to this width and height.
@@ -99,7 +128,7 @@ impl Input {
     /// # Errors
     /// As [`Crop::to_tensor`].
     pub fn resized(&self, resized: [usize; 2]) -> Result<Value> {
-        Ok(Crop { resized, ..self.crop }.to_tensor(self.pixels.elements())?.into())
+        Ok(Crop { resized, ..self.crop }.to_tensor(self.words)?.into())
     }
 
     /// The crop of a part of the network's input.
@@ -108,7 +137,7 @@ impl Input {
     /// [`Error::Tensor`] for a window that begins behind the resized part.
     pub fn part(&self, window: &Window) -> Result<Value> {
         let window = [window.x, window.y];
-        Ok(Crop { window, ..self.crop }.to_tensor(self.pixels.elements())?.into())
+        Ok(Crop { window, ..self.crop }.to_tensor(self.words)?.into())
     }
 
     /// All of the network's input.

@@ -3,6 +3,7 @@
 use crate::detector::engines::{Engines, Kind};
 use crate::detector::input::{Answer, Input};
 use crate::detector::regions::{self, Window};
+use crate::detector::runner::Given;
 use crate::detector::{Config, Detections, Scene, contact};
 use crate::error::{Error, Result};
 use crate::gpu::Deadline;
@@ -11,7 +12,7 @@ use crate::precision::Precision;
 
 /// A picture, and which parts of it are to be looked at.
 pub(super) struct Sight<'a> {
-    input: &'a Input,
+    input: &'a Input<'a>,
     /// Whether something touches; `None` where nobody looked.
     contact: Option<bool>,
     windows: Vec<Window>,
@@ -25,10 +26,13 @@ pub(super) struct Sight<'a> {
 
 impl<'a> Sight<'a> {
     /// What `scene` leaves of a picture in which a look for contact gave `look`.
-    pub fn new(input: &'a Input, look: Option<contact::Look>, scene: &Scene) -> Self {
-        let (windows, scene, stages) = (vec![input.whole()], *scene, Vec::new());
-        let whole = Self { input, contact: None, windows, in_parts: false, scene, stages };
-        let Some(contact::Look { map, stages, .. }) = look else { return whole };
+    pub fn new(input: &'a Input<'a>, look: Option<contact::Look>, scene: &Scene) -> Self {
+        let (windows, scene) = (vec![input.whole()], *scene);
+        let mut own = vec![input.taken()];
+        let whole = |stages| Self { input, contact: None, windows, in_parts: false, scene, stages };
+        let Some(contact::Look { map, stages, .. }) = look else { return whole(own) };
+        own.extend(stages);
+        let whole = whole(own);
         let touched = !map.is_empty();
         let parts = match touched && scene.regions {
             true => regions::windows(&map, &input.geometry, &scene),
@@ -39,7 +43,7 @@ impl<'a> Sight<'a> {
             true => parts.unwrap_or(whole.windows),
             false => Vec::new(),
         };
-        Self { contact: Some(touched), windows, in_parts, stages, ..whole }
+        Self { contact: Some(touched), windows, in_parts, ..whole }
     }
 
     /// All of the picture with nothing left out, after a first look took `stages`.
@@ -87,7 +91,7 @@ struct Seen {
 /// A window of a picture.
 #[derive(Clone, Copy)]
 struct Job<'a> {
-    input: &'a Input,
+    input: &'a Input<'a>,
     window: Window,
     /// The window's place among those of its picture.
     part: usize,
@@ -238,7 +242,11 @@ async fn run(
     let inputs =
         inputs.map(|(job, crop)| [(network.picture, &job.input.pixels), (network.crop, crop)]);
     let inputs: Vec<_> = inputs.collect();
-    let pictures: Vec<_> = inputs.iter().map(|inputs| &inputs[..]).collect();
+    let given = jobs.iter().zip(&inputs).map(|(job, inputs)| {
+        let picture = job.input.borrowed.map(|bytes| (network.picture, bytes));
+        Given { inputs, picture }
+    });
+    let pictures: Vec<_> = given.collect();
     let (values, mut times) = engine.run_all(&pictures, deadline).await?;
     times.iter_mut().for_each(|time| time.time /= jobs.len() as u32);
     let seen = jobs.iter().zip(&values).map(|(job, values)| {

@@ -191,7 +191,7 @@ impl GpuDetector {
     }
 
     /// Checks a frame and brings it to what the network takes.
-    fn input(&self, frame: &Frame) -> Result<Input> {
+    fn input<'a>(&self, frame: &'a Frame<'_>) -> Result<Input<'a>> {
         let start = Instant::now();
         frame.check()?;
         let known = self.known();
@@ -199,7 +199,9 @@ impl GpuDetector {
         let known = Known { scale, gel, crop: frame.crop, ..known };
         let view = view::view([frame.width, frame.height], known)?;
         let geometry = Geometry::new(&view, &self.model, self.config.input_size)?;
-        Input::new(start, frame, view, geometry)
+        // A GPU copies them anyhow, and who keeps stages wants them as they are.
+        let borrow = self.engines().on_cores() && !self.config.keep_stages;
+        Input::new(start, frame, view, geometry, borrow)
     }
 
     /// How maps and weights are stored: [`Config::precision`], but on the CPU. A picture that overflows
@@ -245,7 +247,8 @@ impl GpuDetector {
         limit: Duration,
         progress: impl FnMut(usize, usize),
     ) -> Result<Tuned> {
-        let input = self.input(&self.noise())?;
+        let noise = self.noise();
+        let input = self.input(&noise)?;
         let engine = self.engines().one(input.geometry.size)?;
         let inputs = input.inputs(&engine.network);
         tune::tune(gpu, &engine.network.graph, &inputs, self.config.precision, limit, progress)
@@ -263,7 +266,8 @@ impl GpuDetector {
         runs: usize,
         remark: impl FnMut(String),
     ) -> Result<Vec<CommandTime>> {
-        let input = self.input(&self.noise())?;
+        let noise = self.noise();
+        let input = self.input(&noise)?;
         let engine = self.engines().one(input.geometry.size)?;
         let inputs = input.inputs(&engine.network);
         let mut remarks = Vec::new();
@@ -330,7 +334,7 @@ impl GpuDetector {
     async fn detect_with(
         &self,
         engines: &Engines,
-        input: &Input,
+        input: &Input<'_>,
         deadline: Deadline,
     ) -> Result<Detections> {
         let sight = self.sight(engines, input, deadline).await?;
@@ -341,7 +345,7 @@ impl GpuDetector {
     async fn sight<'a>(
         &self,
         engines: &Engines,
-        input: &'a Input,
+        input: &'a Input<'_>,
         deadline: Deadline,
     ) -> Result<Sight<'a>> {
         let look = match self.config.scene.looks() {
@@ -405,7 +409,7 @@ impl GpuDetector {
     async fn touched(
         &self,
         engines: &Engines,
-        input: &Input,
+        input: &Input<'_>,
         before: Option<&Value>,
         stream: bool,
         deadline: Deadline,
@@ -530,7 +534,7 @@ impl GpuDetector {
 
     async fn look_at_stages(
         &self,
-        input: &Input,
+        input: &Input<'_>,
         deadline: Deadline,
     ) -> Result<(Values, Detections)> {
         let engines = self.engines();
@@ -565,7 +569,7 @@ impl GpuDetector {
     async fn look_with(
         &self,
         engines: &Engines,
-        input: &Input,
+        input: &Input<'_>,
         deadline: Deadline,
     ) -> Result<(Values, Detections)> {
         let (size, precision) = (input.geometry.size, engines.precision());
@@ -581,7 +585,7 @@ impl GpuDetector {
     async fn look_in(
         &self,
         engine: Arc<Engine>,
-        input: &Input,
+        input: &Input<'_>,
         deadline: Deadline,
     ) -> Result<(Values, Detections)> {
         let network = &engine.network;

@@ -233,6 +233,22 @@ mod tests {
         );
     }
 
+    /// Parts that leave doubt are paid for beside the whole.
+    #[test]
+    fn parts_that_save_little_are_not_tried() {
+        let parts = |touched: &[[usize; 2]]| {
+            windows(
+                &Map::of([40, 40], touched),
+                &SQUARE,
+                &Scene { margin_mm: 4.0, ..Scene::default() },
+            )
+        };
+        let corners = [[2, 2], [37, 37], [2, 37], [37, 2], [20, 20]];
+        // 0.15 each.
+        assert_eq!(parts(&corners[..3]).map(|w| w.len()), Some(3));
+        assert_eq!(parts(&corners), None);
+    }
+
     /// A field that is no multiple of 32 pixels: 25 mm are 200, and the input has 224.
     #[test]
     fn an_input_that_repeats_its_edge() {

@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 #[cfg(feature = "cpu")]
-use std::sync::Mutex;
+use std::sync::{Condvar, Mutex, PoisonError};
+#[cfg(feature = "cpu")]
+use std::time::Duration;
 
 use crate::comparison::{How, Values};
 use crate::detector::pool::{Pool, Slots};
@@ -11,7 +13,7 @@ use crate::error::Result;
 use crate::gpu::{Deadline, Inputs, Program, ProgramOptions};
 use crate::graph::{Graph, StageTime, TensorId};
 #[cfg(feature = "cpu")]
-use crate::host::HostPlan;
+use crate::host::{self, HostPlan};
 #[cfg(feature = "cpu")]
 use crate::lock::lock;
 use crate::lower::{Choice, Request, lower};
@@ -27,12 +29,64 @@ pub(super) struct On<'a> {
     pub batch: usize,
 }
 
+/// What a run is given.
+#[derive(Clone, Copy)]
+pub(super) struct Given<'a> {
+    pub inputs: &'a Inputs<'a>,
+    /// The bytes of a frame that is not copied, in place of the picture's tensor: for the CPU alone.
+    #[cfg_attr(not(feature = "cpu"), expect(dead_code))]
+    pub picture: Option<(TensorId, &'a [u8])>,
+}
+
 /// A graph made ready on a device.
 pub(super) enum Runner {
     Gpu(Slots),
     #[cfg(feature = "cpu")]
-    Host(Box<Mutex<HostPlan>>),
+    Host(Box<HostPlan>, Turns),
     Reference,
+}
+
+/// How many may compute at once, each with buffers of its own. Where callers have a core each, each
+/// computes alone, which takes longer and wastes nothing; else they take turns in using all cores.
+#[cfg(feature = "cpu")]
+pub(super) struct Turns {
+    left: Mutex<usize>,
+    back: Condvar,
+}
+
+/// A caller's turn, until it is dropped.
+#[cfg(feature = "cpu")]
+struct Turn<'a>(&'a Turns);
+
+#[cfg(feature = "cpu")]
+impl Turns {
+    fn new(most: usize) -> Self {
+        Self { left: Mutex::new(most.max(1)), back: Condvar::new() }
+    }
+
+    /// # Errors
+    /// [`crate::Error::Timeout`] past the deadline.
+    fn take(&self, deadline: Deadline) -> Result<Turn<'_>> {
+        /// Between two looks at the clock.
+        const PAUSE: Duration = Duration::from_millis(10);
+        let mut left = lock(&self.left);
+        while *left == 0 {
+            if deadline.is_over() {
+                return Err(deadline.error("earlier pictures"));
+            }
+            left = self.back.wait_timeout(left, PAUSE).unwrap_or_else(PoisonError::into_inner).0;
+        }
+        *left -= 1;
+        Ok(Turn(self))
+    }
+}
+
+#[cfg(feature = "cpu")]
+impl Drop for Turn<'_> {
+    fn drop(&mut self) {
+        *lock(&self.0.left) += 1;
+        self.0.back.notify_one();
+    }
 }
 
 impl Runner {
@@ -61,11 +115,11 @@ impl Runner {
             #[cfg(feature = "cpu")]
             (None, _) => {
                 let like = match like {
-                    Some(Self::Host(plan)) => Some(lock(plan)),
+                    Some(Self::Host(plan, _)) => Some(&**plan),
                     _ => None,
                 };
-                let plan = HostPlan::new(graph, keep, like.as_deref())?;
-                Self::Host(Box::new(Mutex::new(plan)))
+                let plan = HostPlan::new(graph, keep, like)?;
+                Self::Host(Box::new(plan), Turns::new(config.in_flight))
             }
             #[cfg(not(feature = "cpu"))]
             (None, _) => Self::Reference,
@@ -89,10 +143,10 @@ impl Runner {
         &self,
         graph: &Graph,
         keep: &[TensorId],
-        inputs: &Inputs<'_>,
+        given: Given<'_>,
         deadline: Deadline,
     ) -> Result<(Values, Vec<StageTime>)> {
-        let (mut values, times) = self.run_all(graph, keep, &[inputs], deadline).await?;
+        let (mut values, times) = self.run_all(graph, keep, &[given], deadline).await?;
         Ok((values.pop().unwrap_or_default(), times))
     }
 
@@ -102,15 +156,24 @@ impl Runner {
         &self,
         graph: &Graph,
         keep: &[TensorId],
-        pictures: &[&Inputs<'_>],
+        pictures: &[Given<'_>],
         deadline: Deadline,
     ) -> Result<(Vec<Values>, Vec<StageTime>)> {
         match self {
-            Self::Reference => one_by_one(pictures, |inputs| graph.reference(inputs, keep)),
+            Self::Reference => one_by_one(pictures, |given| graph.reference(given.inputs, keep)),
             #[cfg(feature = "cpu")]
-            Self::Host(plan) => one_by_one(pictures, |inputs| lock(plan).run(graph, inputs)),
+            Self::Host(plan, turns) => one_by_one(pictures, |given| {
+                let deadline = deadline.of_run();
+                let _turn = turns.take(deadline)?;
+                let given = host::Given { tensors: given.inputs, picture: given.picture };
+                plan.run_while(graph, given, &|stage| match deadline.is_over() {
+                    true => Err(deadline.error(&format!("the network, at stage `{stage}`"))),
+                    false => Ok(()),
+                })
+            }),
             Self::Gpu(slots) => {
-                let run = slots.run(pictures, deadline.of_run()).await?;
+                let pictures: Vec<_> = pictures.iter().map(|given| given.inputs).collect();
+                let run = slots.run(&pictures, deadline.of_run()).await?;
                 Ok((run.values, run.stages))
             }
         }
@@ -118,12 +181,12 @@ impl Runner {
 }
 
 fn one_by_one(
-    pictures: &[&Inputs<'_>],
-    mut run: impl FnMut(&Inputs<'_>) -> Result<(Values, Vec<StageTime>)>,
+    pictures: &[Given<'_>],
+    mut run: impl FnMut(&Given<'_>) -> Result<(Values, Vec<StageTime>)>,
 ) -> Result<(Vec<Values>, Vec<StageTime>)> {
     let (mut all, mut stages) = (Vec::new(), Vec::new());
-    for inputs in pictures {
-        let (values, times) = run(inputs)?;
+    for given in pictures {
+        let (values, times) = run(given)?;
         all.push(values);
         stages.extend(times);
     }

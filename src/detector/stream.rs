@@ -78,7 +78,7 @@ impl<'a> Stream<'a> {
     fn detect_with(
         &mut self,
         engines: &Engines,
-        input: &Input,
+        input: &Input<'_>,
         deadline: Deadline,
     ) -> Result<Detections> {
         let last = self.last.take().filter(|last| last.view == input.view);
@@ -98,7 +98,7 @@ impl<'a> Stream<'a> {
                 proposals: found.proposals,
                 precision: found.precision,
                 reused: true,
-                stages: look.stages,
+                stages: [input.taken()].into_iter().chain(look.stages).collect(),
                 ..input.report(found.detections.clone())
             };
             self.last = Some(last);

@@ -59,7 +59,7 @@ pub struct Gpu {
     /// Bytes that wait to be uploaded.
     pub(super) uploads: Mutex<usize>,
     turns: Mutex<()>,
-    pub(super) poller: Poller,
+    pub(super) poller: Arc<Poller>,
     pub(super) clock: Clock,
     pub(super) pipelines: Pipelines,
 }
@@ -99,7 +99,8 @@ impl Gpu {
                 faults.stray(e.to_string());
             }
         }));
-        Ok(Self::new(device, queue, options, loss, false))
+        let poller = Arc::new(Poller::new(&device, &loss)?);
+        Ok(Self::new(device, queue, options, (loss, poller), false))
     }
 
     /// Takes a device that a program has already, for runs of at most `timeout`. Its handlers stay what
@@ -134,29 +135,31 @@ impl Gpu {
             return Err(Error::Device { adapter, message: missing.join("; ") });
         }
         let options = GpuOptions { timeout, ..GpuOptions::default() };
-        Ok(Self::new(device, queue, options, Loss::default(), true))
+        let loss = Loss::default();
+        let poller = Arc::new(Poller::new(&device, &loss)?);
+        Ok(Self::new(device, queue, options, (loss, poller), true))
     }
 
     fn new(
         device: wgpu::Device,
         queue: wgpu::Queue,
         options: GpuOptions,
-        loss: Loss,
+        watch: (Loss, Arc<Poller>),
         foreign: bool,
     ) -> Arc<Self> {
         let info = device.adapter_info();
         let caps = caps(&info, device.features(), &device.limits());
-        Self::with((device, queue, info), (options, loss, foreign), caps, Vec::new())
+        Self::with((device, queue, info), (options, watch, foreign), caps, Vec::new())
     }
 
     fn with(
         (device, queue, info): (wgpu::Device, wgpu::Queue, wgpu::AdapterInfo),
-        (options, loss, foreign): (GpuOptions, Loss, bool),
+        (options, (loss, poller), foreign): (GpuOptions, (Loss, Arc<Poller>), bool),
         caps: Caps,
         replacements: Vec<shader::Replacement>,
     ) -> Arc<Self> {
         Arc::new(Self {
-            poller: Poller::new(&device, &loss),
+            poller,
             caps,
             device,
             queue,
@@ -195,7 +198,8 @@ impl Gpu {
         replacements: Vec<shader::Replacement>,
     ) -> Arc<Self> {
         let device = (self.device.clone(), self.queue.clone(), self.info.clone());
-        Self::with(device, (options, self.loss.clone(), self.foreign), caps, replacements)
+        let watch = (self.loss.clone(), self.poller.clone());
+        Self::with(device, (options, watch, self.foreign), caps, replacements)
     }
 
     /// The adapter's name, backend and driver.

@@ -11,6 +11,7 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::task::Waker;
 use std::time::{Duration, Instant};
 
+use crate::error::{Error, Result};
 use crate::gpu::landing::Landing;
 use crate::lock::lock;
 
@@ -97,11 +98,13 @@ const SHORT_PAUSE: Duration = Duration::from_micros(200);
 const LONG_PAUSE: Duration = Duration::from_millis(10);
 
 impl Poller {
-    pub fn new(device: &wgpu::Device, loss: &Loss) -> Self {
+    /// # Errors
+    /// [`Error::Driver`] where no thread can be had.
+    pub fn new(device: &wgpu::Device, loss: &Loss) -> Result<Self> {
         let (submissions, received) = mpsc::channel::<(wgpu::SubmissionIndex, Landing)>();
         let (device, loss) = (device.clone(), loss.clone());
         // It ends when the sender is gone.
-        std::thread::spawn(move || {
+        let thread = std::thread::Builder::new().spawn(move || {
             for (index, landing) in received {
                 let wait = wgpu::PollType::Wait { submission_index: Some(index), timeout: None };
                 // A wait that ends early, or for what was never submitted, is made up for below.
@@ -121,7 +124,11 @@ impl Poller {
                 }
             }
         });
-        Self { submissions }
+        thread.map_err(|e| Error::Driver {
+            stage: "opening the device".into(),
+            message: format!("expected a thread that waits for it, got {e}"),
+        })?;
+        Ok(Self { submissions })
     }
 
     /// Sees to it that somebody tells `landing` what became of it.
@@ -170,7 +177,12 @@ impl Clock {
         if !alarms.runs {
             alarms.runs = true;
             let state = self.state.clone();
-            std::thread::spawn(move || Self::run(&state));
+            let thread = std::thread::Builder::new().spawn(move || Self::run(&state));
+            if thread.is_err() {
+                // Without a thread that keeps the time, whoever waits looks at it again and again.
+                alarms.runs = false;
+                alarms.wakers.values().for_each(Waker::wake_by_ref);
+            }
         }
         changed.notify_one();
         Alarm { key, state: self.state.clone() }

@@ -112,8 +112,12 @@ impl Gpu {
         std::thread::scope(|scope| {
             let cores = std::thread::available_parallelism().map_or(1, usize::from);
             let threads = cores.min(wanted.len());
-            let threads: Vec<_> = (0..threads).map(|_| scope.spawn(compile)).collect();
+            let spawn = |_| std::thread::Builder::new().spawn_scoped(scope, compile).ok();
+            let threads: Vec<_> = (0..threads).map_while(spawn).collect();
             let result = meanwhile();
+            if threads.is_empty() {
+                compile()?;
+            }
             for thread in threads {
                 match thread.join() {
                     Ok(compiled) => compiled?,

@@ -3,12 +3,11 @@
 
 use std::sync::Arc;
 
-use rayon::prelude::*;
-
 use super::gemm::{Panels, order, vectorised};
 use super::kernel::{Data, Kernel};
 use super::packs::Pack;
 use super::winograd::Winograd;
+use crate::cores::{each, each_with};
 use crate::cpu;
 use crate::error::Result;
 use crate::ops::Conv2d;
@@ -18,6 +17,8 @@ use crate::tensor::{Tensor, Value};
 
 /// Floats of an im2col tile: half of a common second-level cache.
 const TILE: usize = 128 * 1024;
+/// Pieces at least in which the pixels are shared, so that threads end together.
+const PIECES: usize = 16;
 /// Output pixels from which threads share the pixels; below it they share the channels.
 const MANY_PIXELS: usize = 512;
 
@@ -107,7 +108,7 @@ impl Convolution {
         let [out_h, out_w] = [1, 2].map(|i| output.shape.0[i]);
         let shape = MapShape { in_c, in_h, in_w, out_c, out_h, out_w, kh, kw };
         let bias = bias.map_or_else(|| vec![0.0; out_c], |b| b.data().to_vec());
-        let algorithm = match Winograd::fits(&op, &shape) {
+        let algorithm = match Winograd::fits(&op, &shape) && !pack.all.lean {
             true => Algorithm::Winograd(Winograd::new(shape, pack)?),
             false => Algorithm::Im2col(pack.get("im2col", channels_last)?),
         };
@@ -128,9 +129,10 @@ impl Convolution {
             residual.map(|r| &r[first * out_c..(first + count) * out_c])
         };
         if pixels >= MANY_PIXELS {
-            let tile = (TILE / terms).clamp(16, 512).min(pixels);
+            let tile = (TILE / terms).min(pixels / PIECES).clamp(16, 512);
             let scratch = || (vec![0.0; tile * terms], vec![0.0; tile * out_c]);
-            output.par_chunks_mut(tile * out_c).enumerate().for_each_init(
+            each_with(
+                output.chunks_mut(tile * out_c).enumerate(),
                 scratch,
                 |(columns, sums), (index, output)| {
                     let (first, count) = (index * tile, output.len() / out_c);
@@ -152,11 +154,9 @@ impl Convolution {
             Vec::new()
         } else {
             let mut columns = vec![0.0; pixels * terms];
-            let tile = pixels.div_ceil(rayon::current_num_threads()).max(1);
-            columns
-                .par_chunks_mut(tile * terms)
-                .enumerate()
-                .for_each(|(i, part)| self.gather(input, i * tile, part));
+            let tile = pixels.div_ceil(PIECES).max(1);
+            let parts = columns.chunks_mut(tile * terms).enumerate();
+            each(parts, |(i, part)| self.gather(input, i * tile, part));
             columns
         };
         let rows = if self.is_pointwise() { input } else { &columns };

@@ -1,9 +1,8 @@
 //! Crop, resize and normalisation of a picture: rows, then columns, four channels at a time.
 
-use rayon::prelude::*;
-
 use super::gemm::vectorised;
 use super::kernel::{Data, Kernel};
+use crate::cores::each_with;
 use crate::cpu::Crop;
 use crate::ops::CropResize;
 use crate::tensor::Tensor;
@@ -21,9 +20,9 @@ pub(super) struct Resize {
 
 impl Kernel for Resize {
     fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
-        let (picture, words) = (inputs[0].u32()?, inputs[1].u32()?);
+        let (bytes, words) = (inputs[0].bytes()?, inputs[1].u32()?);
         let words = Tensor::new([words.len()], words.to_vec())?;
-        let crop = Crop::from_tensor(&words, picture.len())?;
+        let crop = Crop::from_tensor(&words, bytes.len().div_ceil(4))?;
         let filters = |axis: usize, count: usize| -> Vec<(usize, Vec<f32>)> {
             let narrow = |w: Vec<f64>| w.into_iter().map(|w| w as f32).collect();
             crop.filters(axis, count).into_iter().map(|(first, w)| (first, narrow(w))).collect()
@@ -33,7 +32,6 @@ impl Kernel for Resize {
         let from = columns.iter().map(|(first, _)| *first).min().unwrap_or(0);
         let to = columns.iter().map(|(first, w)| first + w.len()).max().unwrap_or(from);
         columns.iter_mut().for_each(|(first, _)| *first -= from);
-        let bytes: &[u8] = bytemuck::cast_slice(picture);
         // Levels are summed as differences from the mean's whole level, which are exact: what is
         // left of the mean is small, so little cancels.
         let shift = self.op.shift();
@@ -41,7 +39,8 @@ impl Kernel for Resize {
         let scale = self.op.std.map(|s| (1.0 / (255.0 * f64::from(s))) as f32);
         let rest: [f32; RGB] =
             std::array::from_fn(|c| (shift[c].1 / f64::from(self.op.std[c])) as f32);
-        outputs[0].par_chunks_mut(self.op.width * RGB).zip(&rows).for_each_init(
+        each_with(
+            outputs[0].chunks_mut(self.op.width * RGB).zip(&rows),
             || (vec![0.0f32; (to - from) * RGB + 1], vec![[0; RGB]; to - from]),
             |(line, converted), (out, (first, weights))| {
                 vectorised(|| {

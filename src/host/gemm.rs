@@ -1,7 +1,6 @@
 //! Matrix products, and vector code for the widest registers that the CPU has.
 
-use rayon::prelude::*;
-
+use crate::cores::each;
 pub(super) use crate::cpu::vectorised;
 use crate::ops::bounds::{Joined, SumOrder};
 
@@ -98,18 +97,18 @@ impl<'a> Panels<'a> {
         }
     }
 
-    /// The same on all threads, each for outputs of its own, so that each reads its part of the weights
-    /// alone: the first output of each part, and its sums `[N][outputs of the part]`.
+    /// The same on all threads, a panel at a time, so that each weight is read once: the first output
+    /// of each panel, and its sums `[N][outputs of the panel]`.
     pub fn shared(self, rows: &[f32], n: usize) -> Vec<(usize, Vec<f32>)> {
-        let part = self.outputs.div_ceil(rayon::current_num_threads()).next_multiple_of(PANEL);
-        let parts = self.weights.par_chunks((part * self.inner).max(1)).enumerate();
-        let product = |(at, weights): (usize, &[f32])| {
-            let count = part.min(self.outputs - at * part);
-            let mut sums = vec![0.0; n * count];
-            Panels::of(weights, count, self.inner).multiply(&mut sums, rows, n);
-            (at * part, sums)
-        };
-        parts.map(product).collect()
+        let sums = |first: usize| vec![0.0; n * PANEL.min(self.outputs - first)];
+        let firsts = (0..self.outputs).step_by(PANEL);
+        let mut parts: Vec<_> = firsts.map(|first| (first, sums(first))).collect();
+        each(parts.iter_mut(), |(first, sums)| {
+            let count = PANEL.min(self.outputs - *first);
+            let weights = &self.weights[*first * self.inner..];
+            Panels::of(weights, count, self.inner).multiply(sums, rows, n);
+        });
+        parts
     }
 }
 

@@ -22,6 +22,8 @@ pub(crate) enum Data<'a> {
     F32(&'a [f32]),
     /// Indices, counts, packed pixels.
     U32(&'a [u32]),
+    /// A picture's bytes where somebody else keeps them.
+    Bytes(&'a [u8]),
 }
 
 impl<'a> Data<'a> {
@@ -32,7 +34,7 @@ impl<'a> Data<'a> {
     pub fn f32(self) -> Result<&'a [f32]> {
         match self {
             Self::F32(data) => Ok(data),
-            Self::U32(_) => Err(Error::tensor("cpu", "input", "f32", "u32")),
+            _ => Err(Error::tensor("cpu", "input", "f32", "u32")),
         }
     }
 
@@ -44,6 +46,18 @@ impl<'a> Data<'a> {
         match self {
             Self::U32(data) => Ok(data),
             Self::F32(_) => Err(Error::tensor("cpu", "input", "u32", "f32")),
+            Self::Bytes(_) => Err(Error::tensor("cpu", "input", "u32", "bytes")),
+        }
+    }
+
+    /// The bytes of packed pixels.
+    ///
+    /// # Errors
+    /// [`Error::Tensor`] for a float tensor.
+    pub fn bytes(self) -> Result<&'a [u8]> {
+        match self {
+            Self::Bytes(bytes) => Ok(bytes),
+            _ => self.u32().map(bytemuck::cast_slice),
         }
     }
 }

@@ -1,9 +1,8 @@
 //! Gates, weighted sums and interpolation on channels-last maps, and the gates of pixels.
 
-use rayon::prelude::*;
-
 use super::gemm::vectorised;
 use super::kernel::{Data, Kernel, Layout};
+use crate::cores::each;
 use crate::cpu;
 use crate::shape::TensorSpec;
 
@@ -20,8 +19,8 @@ impl Kernel for Gates {
     fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
         let (input, gate, spatial) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);
         let run = RUN * self.channels;
-        let parts = input.par_chunks(run).zip(spatial.par_chunks(RUN));
-        outputs[0].par_chunks_mut(run).zip(parts).for_each(|(out, (input, spatial))| {
+        let parts = input.chunks(run).zip(spatial.chunks(RUN));
+        each(outputs[0].chunks_mut(run).zip(parts), |(out, (input, spatial))| {
             vectorised(|| {
                 let pixels = out.chunks_exact_mut(self.channels);
                 for ((out, input), s) in pixels.zip(input.chunks_exact(self.channels)).zip(spatial)
@@ -46,7 +45,7 @@ impl Kernel for Sum {
         let maps: Vec<&[f32]> =
             inputs[1..].iter().map(|map| map.f32()).collect::<Result<_, _>>()?;
         const PART: usize = 16 * 1024;
-        outputs[0].par_chunks_mut(PART).enumerate().for_each(|(i, out)| {
+        each(outputs[0].chunks_mut(PART).enumerate(), |(i, out)| {
             vectorised(|| {
                 for (k, (weight, map)) in weights.iter().zip(&maps).enumerate() {
                     for (out, x) in out.iter_mut().zip(&map[i * PART..]) {
@@ -97,7 +96,7 @@ impl Kernel for Bilinear {
         let pixel =
             |y: usize, x: usize| &input[(y * self.width + x) * self.channels..][..self.channels];
         let row = self.columns.len() * self.channels;
-        outputs[0].par_chunks_mut(row).zip(&self.rows).for_each(|(out, y)| {
+        each(outputs[0].chunks_mut(row).zip(&self.rows), |(out, y)| {
             vectorised(|| {
                 for (out, x) in out.chunks_exact_mut(self.channels).zip(&self.columns) {
                     let [a, b] = [pixel(y.low, x.low), pixel(y.low, x.high)];
@@ -151,7 +150,7 @@ impl Kernel for SpatialGates {
         for (to, from) in padded.chunks_exact_mut(wide).zip(input.chunks_exact(width)) {
             to[REACH..REACH + width].copy_from_slice(from);
         }
-        outputs[0].par_chunks_mut(width).enumerate().for_each(|(y, out)| {
+        each(outputs[0].chunks_mut(width).enumerate(), |(y, out)| {
             vectorised(|| {
                 out.fill(self.bias);
                 for (tap, weight) in self.weight.iter().enumerate() {

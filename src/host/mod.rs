@@ -42,6 +42,7 @@ use crate::shape::{Extent, TensorSpec};
 use crate::tensor::{Constant, Value};
 
 use kernel::Kernel;
+pub(crate) use plan::Given;
 pub use plan::HostPlan;
 
 /// The kernel for an operation on inputs of these shapes. `constants` holds those inputs that are known
@@ -130,7 +131,7 @@ pub fn check_expected(expected: &Expected) -> Result<Report> {
     }
     let outputs = graph.apply_shared(&case.name, case.op.clone(), &inputs)?;
     outputs.iter().for_each(|id| graph.mark_output(*id));
-    let mut plan = HostPlan::new(&graph, &[], None)?;
+    let plan = HostPlan::new(&graph, &[], None)?;
     plan.poison();
     let (mut values, _) = plan.run(&graph, &given)?;
     let known: Vec<Value> = outputs.iter().filter_map(|id| values.remove(id)).collect();

@@ -4,15 +4,37 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
 use crate::error::Result;
+use crate::graph::{Graph, Node};
 use crate::lock::lock;
+use crate::ops::winograd::POINTS;
 use crate::tensor::{Constant, Tensor};
 
 /// A tensor's name, and how it is packed.
 type Key = (String, &'static str);
 
+/// Most bytes that the transformed weights of a network may take. Those of the large network take 430 MB where
+/// its input is so large that all are; with as many weights as a file may hold it would be 2 GiB.
+const MOST_TRANSFORMED: u64 = 512 << 20;
+
 /// Packed weights.
 #[derive(Debug, Default)]
-pub(super) struct Packs(Mutex<HashMap<Key, Arc<Vec<f32>>>>);
+pub(super) struct Packs {
+    all: Mutex<HashMap<Key, Arc<Vec<f32>>>>,
+    /// Whether there is no memory for Winograd's weights, four times as many.
+    pub lean: bool,
+}
+
+impl Packs {
+    /// For the weights of `graph`.
+    pub fn new(graph: &Graph) -> Self {
+        let transformed = |node: &Node| match graph.spec(*node.inputs.get(1)?).shape.0[..] {
+            [out_c, in_c, 3, 3] => Some((4 * POINTS * out_c * in_c) as u64),
+            _ => None,
+        };
+        let bytes: u64 = graph.nodes().iter().filter_map(transformed).sum();
+        Self { all: Mutex::default(), lean: bytes > MOST_TRANSFORMED }
+    }
+}
 
 /// One tensor's.
 #[derive(Clone, Copy, Debug)]
@@ -37,7 +59,7 @@ impl Pack<'_> {
         manner: &'static str,
         make: impl FnOnce(&Tensor) -> Vec<f32>,
     ) -> Result<Arc<Vec<f32>>> {
-        let mut all = lock(&self.all.0);
+        let mut all = lock(&self.all.all);
         let key = (self.name.to_owned(), manner);
         if let Some(packed) = all.get(&key) {
             return Ok(packed.clone());
@@ -53,7 +75,25 @@ mod tests {
     use super::*;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    use crate::shape::TensorSpec;
+    use crate::ops::Conv2d;
+    use crate::shape::{Extent, TensorSpec};
+
+    /// 1024 × 1024 × 36 numbers are 144 MiB.
+    #[test]
+    fn transformed_weights_have_bounded_memory() {
+        for (layers, lean) in [(3, false), (4, true)] {
+            let mut graph = Graph::default();
+            let mut map = graph.input("input", TensorSpec::f32([1024, 16, 16]), Extent::Exact);
+            for layer in 0..layers {
+                let made = || unreachable!("nobody looks at its values");
+                let weight = Constant::made(TensorSpec::f32([1024, 1024, 3, 3]), made);
+                let weight = graph.constant(format!("weight{layer}"), weight);
+                let conv = Conv2d { padding: 1, bias: false, ..Conv2d::default() };
+                map = graph.apply1("conv", conv, &[map, weight]).expect("a layer");
+            }
+            assert_eq!(Packs::new(&graph).lean, lean, "{layers}");
+        }
+    }
 
     #[test]
     fn a_weight_that_is_packed_is_not_made_again() {

@@ -1,14 +1,16 @@
 //! A [`HostPlan`]: a graph made ready to run on the CPU.
 
 use std::collections::HashMap;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use super::kernel::{Data, Kernel, Layout, convert};
 use super::packs::Packs;
 use super::reference::Reference;
+use crate::cores::Caller;
 use crate::error::{Error, Result};
 use crate::graph::{Graph, Source, StageTime, TensorId};
+use crate::lock::lock;
 use crate::shape::{DType, TensorSpec};
 use crate::tensor::{Constant, Tensor, Value};
 
@@ -40,11 +42,25 @@ enum Work {
 enum Place {
     /// Given for each run.
     Given,
+    /// A constant.
+    Kept(usize),
     /// A buffer.
     Slot(usize),
 }
 
-/// A graph with its weights packed and its buffers allocated.
+/// A run's buffers; integers lie in them as their bits.
+type Slots = Vec<Vec<f32>>;
+
+/// What a run reads.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Given<'a> {
+    /// Tensors by their place in the graph.
+    pub tensors: &'a [(TensorId, &'a Value)],
+    /// The bytes of a picture, in place of its tensor.
+    pub picture: Option<(TensorId, &'a [u8])>,
+}
+
+/// A graph with its weights packed. Runs at a time have buffers of their own, which stay for later ones.
 pub struct HostPlan {
     packs: Arc<Packs>,
     steps: Vec<Step>,
@@ -52,8 +68,12 @@ pub struct HostPlan {
     specs: Vec<TensorSpec>,
     names: Vec<String>,
     inputs: Vec<TensorId>,
-    /// Each buffer; integers lie in them as their bits.
-    slots: Vec<Vec<f32>>,
+    /// What no kernel packs.
+    constants: Vec<Vec<f32>>,
+    /// Elements of each buffer.
+    sizes: Vec<usize>,
+    /// Buffers that no run uses.
+    idle: Mutex<Vec<Slots>>,
     /// What is given back, each in the layout in which it is computed.
     wanted: Vec<Version>,
     stages: Vec<String>,
@@ -61,7 +81,7 @@ pub struct HostPlan {
 
 impl std::fmt::Debug for HostPlan {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "HostPlan({} steps, {} buffers)", self.steps.len(), self.slots.len())
+        write!(f, "HostPlan({} steps, {} buffers)", self.steps.len(), self.sizes.len())
     }
 }
 
@@ -72,7 +92,7 @@ impl HostPlan {
     /// # Errors
     /// What the kernels refuse.
     pub fn new(graph: &Graph, keep: &[TensorId], like: Option<&Self>) -> Result<Self> {
-        let packs = like.map_or_else(Arc::default, |plan| plan.packs.clone());
+        let packs = like.map_or_else(|| Arc::new(Packs::new(graph)), |plan| plan.packs.clone());
         let mut builder = Builder { graph, packs: &packs, made: HashMap::new(), steps: Vec::new() };
         let mut constants = Vec::new();
         for node in graph.nodes() {
@@ -87,14 +107,15 @@ impl HostPlan {
             .collect();
         let specs: Vec<TensorSpec> = graph.tensors().iter().map(|t| t.spec.clone()).collect();
         let given = |id: TensorId| matches!(graph.tensors()[id.0].source, Source::Input(_));
-        let (places, mut slots) = place(&steps, &wanted, &specs, given);
+        let (places, kept, sizes) = place(&steps, &wanted, &specs, given);
+        let mut kept: Vec<Vec<f32>> = kept.into_iter().map(|size| vec![0.0; size]).collect();
         for (version, value) in constants {
-            let Some(Place::Slot(slot)) = places.get(&version) else { continue };
+            let Some(Place::Kept(at)) = places.get(&version) else { continue };
             let words: &[f32] = match value.as_ref() {
                 Value::F32(t) => t.data(),
                 Value::U32(t) => bytemuck::cast_slice(t.data()),
             };
-            let to = &mut slots[*slot][..words.len()];
+            let to = &mut kept[*at][..words.len()];
             match version.layout {
                 Layout::Planar => to.copy_from_slice(words),
                 Layout::ChannelsLast => convert(&value.spec(), Layout::Planar, words, to),
@@ -109,7 +130,9 @@ impl HostPlan {
             specs,
             names,
             inputs,
-            slots,
+            constants: kept,
+            sizes,
+            idle: Mutex::default(),
             wanted,
             stages: graph.stages().to_vec(),
         })
@@ -120,22 +143,53 @@ impl HostPlan {
     /// # Errors
     /// [`Error::Tensor`] for a missing or misshapen input, or what the kernels return.
     pub fn run(
-        &mut self,
+        &self,
         graph: &Graph,
-        inputs: &[(TensorId, &Value)],
+        tensors: &[(TensorId, &Value)],
     ) -> Result<(HashMap<TensorId, Value>, Vec<StageTime>)> {
+        self.run_while(graph, Given { tensors, picture: None }, &|_| Ok(()))
+    }
+
+    /// [`HostPlan::run`], which asks `go_on` before each kernel, with its stage, whether to go on.
+    pub(crate) fn run_while(
+        &self,
+        graph: &Graph,
+        given: Given,
+        go_on: &dyn Fn(&str) -> Result<()>,
+    ) -> Result<(HashMap<TensorId, Value>, Vec<StageTime>)> {
+        let idle = lock(&self.idle).pop();
+        let mut slots = idle.unwrap_or_else(|| self.sizes.iter().map(|n| vec![0.0; *n]).collect());
+        let done = self.run_in(&mut slots, graph, given, go_on);
+        lock(&self.idle).push(slots);
+        done
+    }
+
+    fn run_in(
+        &self,
+        slots: &mut Slots,
+        graph: &Graph,
+        given: Given,
+        go_on: &dyn Fn(&str) -> Result<()>,
+    ) -> Result<(HashMap<TensorId, Value>, Vec<StageTime>)> {
+        let Given { tensors: inputs, picture } = given;
+        let bytes = |id: TensorId| picture.filter(|(i, _)| *i == id).map(|(_, bytes)| bytes);
         for id in &self.inputs {
             let Source::Input(extent) = graph.tensors()[id.0].source else { continue };
-            let given = inputs.iter().find(|(i, _)| i == id).map(|(_, v)| v.spec());
+            let given = match bytes(*id) {
+                Some(bytes) => Some(TensorSpec::u32([bytes.len().div_ceil(4)])),
+                None => inputs.iter().find(|(i, _)| i == id).map(|(_, v)| v.spec()),
+            };
             extent.check("cpu", &self.names[id.0], &self.specs[id.0], given)?;
         }
+        let _caller = Caller::new();
         let mut times: Vec<StageTime> = self
             .stages
             .iter()
             .map(|s| StageTime { stage: s.clone(), time: Duration::ZERO })
             .collect();
-        let Self { steps, places, specs, slots, names, .. } = self;
-        for step in steps.iter() {
+        let Self { steps, places, specs, names, .. } = self;
+        for step in steps {
+            go_on(&self.stages[step.stage])?;
             let start = Instant::now();
             // Outputs leave the table while they are written: no input shares a buffer with them.
             let mut written = Vec::with_capacity(step.outputs.len());
@@ -154,6 +208,9 @@ impl HostPlan {
                     let missing = || Error::tensor("cpu", &names[id.0], spec, "nothing");
                     match places.get(version).ok_or_else(missing)? {
                         Place::Given => {
+                            if let Some(bytes) = bytes(id) {
+                                return Ok(Data::Bytes(bytes));
+                            }
                             let value =
                                 inputs.iter().find(|(i, _)| *i == id).ok_or_else(missing)?;
                             Ok(match value.1 {
@@ -161,13 +218,8 @@ impl HostPlan {
                                 Value::U32(t) => Data::U32(t.data()),
                             })
                         }
-                        Place::Slot(slot) => {
-                            let words = &slots[*slot][..spec.shape.elements()];
-                            Ok(match spec.dtype {
-                                DType::F32 => Data::F32(words),
-                                DType::U32 => Data::U32(bytemuck::cast_slice(words)),
-                            })
-                        }
+                        Place::Kept(at) => Ok(read(spec, &self.constants[*at])),
+                        Place::Slot(slot) => Ok(read(spec, &slots[*slot])),
                     }
                 })
                 .collect();
@@ -194,7 +246,7 @@ impl HostPlan {
         }
         let mut values = HashMap::new();
         for version in &self.wanted {
-            values.insert(version.tensor, self.value(*version)?);
+            values.insert(version.tensor, self.value(slots, *version)?);
         }
         Ok((values, times))
     }
@@ -213,23 +265,19 @@ impl HostPlan {
         Ok(None)
     }
 
-    /// Fills every buffer that a step writes with NaN, which shows where a kernel leaves one out.
-    pub(super) fn poison(&mut self) {
-        for version in self.steps.iter().flat_map(|step| &step.outputs) {
-            if let Some(Place::Slot(slot)) = self.places.get(version) {
-                self.slots[*slot].fill(f32::NAN);
-            }
-        }
+    /// Gives the next run buffers full of NaN, which shows what a kernel leaves out.
+    pub(super) fn poison(&self) {
+        lock(&self.idle).push(self.sizes.iter().map(|n| vec![f32::NAN; *n]).collect());
     }
 
     /// A computed tensor as its shape says.
-    fn value(&self, version: Version) -> Result<Value> {
+    fn value(&self, slots: &Slots, version: Version) -> Result<Value> {
         let spec = &self.specs[version.tensor.0];
         let Some(Place::Slot(slot)) = self.places.get(&version) else {
             let name = &self.names[version.tensor.0];
             return Err(Error::tensor("cpu", name, "a computed tensor", "an input"));
         };
-        let words = &self.slots[*slot][..spec.shape.elements()];
+        let words = &slots[*slot][..spec.shape.elements()];
         Ok(match (spec.dtype, version.layout) {
             (DType::U32, _) => {
                 let words: &[u32] = bytemuck::cast_slice(words);
@@ -318,6 +366,15 @@ impl Builder<'_> {
     }
 }
 
+/// A tensor of this shape, at the beginning of `words`.
+fn read<'a>(spec: &TensorSpec, words: &'a [f32]) -> Data<'a> {
+    let words = &words[..spec.shape.elements()];
+    match spec.dtype {
+        DType::F32 => Data::F32(words),
+        DType::U32 => Data::U32(bytemuck::cast_slice(words)),
+    }
+}
+
 /// Whether a tensor has channels and pixels.
 fn is_map(spec: &TensorSpec) -> bool {
     spec.dtype == DType::F32 && super::kernel::map_sizes(spec).is_some()
@@ -329,7 +386,7 @@ fn place(
     wanted: &[Version],
     specs: &[TensorSpec],
     given: impl Fn(TensorId) -> bool,
-) -> (HashMap<Version, Place>, Vec<Vec<f32>>) {
+) -> (HashMap<Version, Place>, Vec<usize>, Vec<usize>) {
     let mut last_use: HashMap<Version, usize> = HashMap::new();
     let mut made: HashMap<Version, usize> = HashMap::new();
     for (at, step) in steps.iter().enumerate() {
@@ -337,10 +394,11 @@ fn place(
         made.extend(step.outputs.iter().map(|v| (*v, at)));
     }
     let mut places = HashMap::new();
-    let mut sizes: Vec<usize> = Vec::new();
+    let elements = |v: &Version| specs[v.tensor.0].shape.elements();
+    let (mut kept, mut sizes): (Vec<usize>, Vec<usize>) = Default::default();
     let mut free: Vec<usize> = Vec::new();
     let mut take = |places: &mut HashMap<Version, Place>, free: &mut Vec<usize>, v: Version| {
-        let need = specs[v.tensor.0].shape.elements();
+        let need = elements(&v);
         let best =
             (0..free.len()).filter(|i| sizes[free[*i]] >= need).min_by_key(|i| sizes[free[*i]]);
         let slot = match best {
@@ -352,15 +410,16 @@ fn place(
         };
         places.insert(v, Place::Slot(slot));
     };
-    // Constants keep buffers of their own.
     for version in steps.iter().flat_map(|s| s.inputs.iter().flatten()) {
         if !made.contains_key(version) && !places.contains_key(version) {
-            match given(version.tensor) {
-                true => {
-                    places.insert(*version, Place::Given);
+            let place = match given(version.tensor) {
+                true => Place::Given,
+                false => {
+                    kept.push(elements(version));
+                    Place::Kept(kept.len() - 1)
                 }
-                false => take(&mut places, &mut Vec::new(), *version),
-            }
+            };
+            places.insert(*version, place);
         }
     }
     for (at, step) in steps.iter().enumerate() {
@@ -380,5 +439,5 @@ fn place(
         dead.dedup();
         free.extend(dead);
     }
-    (places, sizes.into_iter().map(|size| vec![0.0; size]).collect())
+    (places, kept, sizes)
 }

@@ -1,9 +1,8 @@
 //! Pooling over windows, over space and over channels, on channels-last maps.
 
-use rayon::prelude::*;
-
 use super::gemm::vectorised;
 use super::kernel::{Data, Kernel, Layout};
+use crate::cores::each;
 use crate::ops::MaxPool2d;
 use crate::shape::TensorSpec;
 
@@ -41,7 +40,7 @@ impl Kernel for Windows {
             let first = (at * stride).saturating_sub(padding);
             first..(at * stride + kernel).saturating_sub(padding).min(length)
         };
-        outputs[0].par_chunks_mut(out_w * channels).enumerate().for_each(|(oy, row)| {
+        each(outputs[0].chunks_mut(out_w * channels).enumerate(), |(oy, row)| {
             vectorised(|| {
                 for (ox, out) in row.chunks_exact_mut(channels).enumerate() {
                     out.fill(f32::NEG_INFINITY);
@@ -78,25 +77,24 @@ impl OverSpace {
     fn reduce(input: &[f32], means: &mut [f32], maxima: &mut [f32]) {
         let channels = means.len();
         // Partial sums and maxima of runs of pixels, in parallel; then their sum in order.
-        let runs: Vec<(Vec<f32>, Vec<f32>)> = input
-            .par_chunks(RUN * channels)
-            .map(|run| {
-                let mut sum = vec![0.0f32; channels];
-                let mut most = vec![f32::NEG_INFINITY; channels];
-                vectorised(|| {
-                    for pixel in run.chunks_exact(channels) {
-                        for ((sum, most), x) in sum.iter_mut().zip(&mut most).zip(pixel) {
-                            *sum += x;
-                            *most = larger(*most, *x);
-                        }
+        let runs = input.chunks(RUN * channels);
+        let mut parts = vec![0.0f32; runs.len() * 2 * channels];
+        each(parts.chunks_mut(2 * channels).zip(runs), |(part, run)| {
+            let (sum, most) = part.split_at_mut(channels);
+            most.fill(f32::NEG_INFINITY);
+            vectorised(|| {
+                for pixel in run.chunks_exact(channels) {
+                    for ((sum, most), x) in sum.iter_mut().zip(most.iter_mut()).zip(pixel) {
+                        *sum += x;
+                        *most = larger(*most, *x);
                     }
-                });
-                (sum, most)
-            })
-            .collect();
+                }
+            });
+        });
         let mut total = vec![0f64; channels];
         maxima.fill(f32::NEG_INFINITY);
-        for (sum, most) in &runs {
+        for part in parts.chunks(2 * channels) {
+            let (sum, most) = part.split_at(channels);
             for (total, sum) in total.iter_mut().zip(sum) {
                 *total += f64::from(*sum);
             }
@@ -151,8 +149,9 @@ impl Kernel for OverChannels {
         let (input, gate) = (inputs[0].f32()?, inputs[1].f32()?);
         let (largest, means) = outputs[0].split_at_mut(self.pixels);
         let channels = self.channels;
-        let pixels = input.par_chunks(RUN * channels);
-        largest.par_chunks_mut(RUN).zip(means.par_chunks_mut(RUN)).zip(pixels).for_each(
+        let pixels = input.chunks(RUN * channels);
+        each(
+            largest.chunks_mut(RUN).zip(means.chunks_mut(RUN)).zip(pixels),
             |((largest, means), pixels)| {
                 vectorised(|| {
                     let each = largest.iter_mut().zip(means).zip(pixels.chunks_exact(channels));

@@ -1,9 +1,8 @@
 //! RoIAlign on a channels-last map: a sample is four pixels' channels.
 
-use rayon::prelude::*;
-
 use super::gemm::vectorised;
 use super::kernel::{Data, Kernel};
+use crate::cores::each;
 use crate::cpu::{RoiGrid, neighbours};
 use crate::shape::TensorSpec;
 
@@ -52,32 +51,30 @@ impl Kernel for Regions {
         let RoiGrid { size, ratio, .. } = self.grid;
         let (bin, share) = (self.channels, 1.0 / (ratio * ratio) as f32);
         let roi = size * size * bin;
-        outputs[0][..rois * roi].par_chunks_mut(roi).zip(boxes.par_chunks(4)).for_each(
-            |(out, b)| {
-                for (i, out) in out.chunks_exact_mut(bin).enumerate() {
-                    let (bin_y, bin_x) = (i / size, i % size);
-                    let samples = (0..ratio * ratio).filter_map(|s| {
-                        let y = self.grid.sample(b[1], b[3], bin_y, s / ratio);
-                        let x = self.grid.sample(b[0], b[2], bin_x, s % ratio);
-                        self.sample(y, x)
-                    });
-                    vectorised(|| {
-                        out.fill(0.0);
-                        for sample in samples {
-                            let [(a, wa), (b, wb), (c, wc), (d, wd)] = sample;
-                            let pixel = |at: usize| &features[at..at + bin];
-                            let (a, b, c, d) = (pixel(a), pixel(b), pixel(c), pixel(d));
-                            for (k, out) in out.iter_mut().enumerate() {
-                                *out += wa * a[k] + wb * b[k] + (wc * c[k] + wd * d[k]);
-                            }
+        each(outputs[0][..rois * roi].chunks_mut(roi).zip(boxes.chunks(4)), |(out, b)| {
+            for (i, out) in out.chunks_exact_mut(bin).enumerate() {
+                let (bin_y, bin_x) = (i / size, i % size);
+                let samples = (0..ratio * ratio).filter_map(|s| {
+                    let y = self.grid.sample(b[1], b[3], bin_y, s / ratio);
+                    let x = self.grid.sample(b[0], b[2], bin_x, s % ratio);
+                    self.sample(y, x)
+                });
+                vectorised(|| {
+                    out.fill(0.0);
+                    for sample in samples {
+                        let [(a, wa), (b, wb), (c, wc), (d, wd)] = sample;
+                        let pixel = |at: usize| &features[at..at + bin];
+                        let (a, b, c, d) = (pixel(a), pixel(b), pixel(c), pixel(d));
+                        for (k, out) in out.iter_mut().enumerate() {
+                            *out += wa * a[k] + wb * b[k] + (wc * c[k] + wd * d[k]);
                         }
-                        for out in out.iter_mut() {
-                            *out *= share;
-                        }
-                    });
-                }
-            },
-        );
+                    }
+                    for out in out.iter_mut() {
+                        *out *= share;
+                    }
+                });
+            }
+        });
         Ok(())
     }
 }

@@ -8,11 +8,10 @@
 use std::array::from_fn;
 use std::sync::Arc;
 
-use rayon::prelude::*;
-
 use super::conv2d::{Epilogue, MapShape};
 use super::gemm::{Panels, order, vectorised};
 use super::packs::Pack;
+use crate::cores::{each, each_with, threads};
 use crate::error::Result;
 use crate::ops::Conv2d;
 use crate::ops::winograd::{IN, OUT, POINTS, error_bound, point_weight};
@@ -31,7 +30,7 @@ type Lanes = [f32; LANES];
 fn transformed(shape: MapShape, weight: &Tensor) -> Vec<f32> {
     let MapShape { in_c, out_c, .. } = shape;
     let mut packed = vec![0.0; POINTS * in_c * out_c];
-    packed.par_chunks_mut(in_c * out_c).enumerate().for_each(|(point, packed)| {
+    each(packed.chunks_mut(in_c * out_c).enumerate(), |(point, packed)| {
         Panels::fill(packed, in_c, |o, i| {
             point_weight(&weight.data()[(o * in_c + i) * 9..][..9], point)
         });
@@ -94,13 +93,13 @@ impl Winograd {
         let tiles = tile_rows * tile_columns;
         // Threads share the tiles where each gets many, else the points, so that each reads its part
         // of the weights alone.
-        let threads = rayon::current_num_threads();
-        if tiles >= 2 * BLOCK * threads {
+        if tiles >= 2 * BLOCK * threads() {
             // Whole rows of tiles, so that each block's outputs are a slice.
             let rows = (BLOCK / tile_columns).max(1);
             let block = rows * tile_columns;
             let scratch = || (vec![0.0; POINTS * block * in_c], vec![0.0; POINTS * block * out_c]);
-            output.par_chunks_mut(rows * OUT * out_w * out_c).enumerate().for_each_init(
+            each_with(
+                output.chunks_mut(rows * OUT * out_w * out_c).enumerate(),
                 scratch,
                 |(points, sums), (index, output)| {
                     let first = index * block;
@@ -128,11 +127,12 @@ impl Winograd {
         }
         // [tiles][36, I], so that threads write slices of their own.
         let mut by_tile = vec![0.0; tiles * POINTS * in_c];
-        by_tile.par_chunks_mut(POINTS * in_c).enumerate().for_each(|(tile, points)| {
+        each(by_tile.chunks_mut(POINTS * in_c).enumerate(), |(tile, points)| {
             vectorised(|| self.transform_input(input, tile, 0, 1, points));
         });
         let mut sums = vec![0.0; POINTS * tiles * out_c];
-        sums.par_chunks_mut(tiles * out_c).enumerate().for_each_init(
+        each_with(
+            sums.chunks_mut(tiles * out_c).enumerate(),
             || vec![0.0; tiles * in_c],
             |points, (point, sums)| {
                 let from = by_tile.chunks_exact(POINTS * in_c);
@@ -142,7 +142,7 @@ impl Winograd {
                 self.of_point(point).multiply(sums, points, tiles);
             },
         );
-        output.par_chunks_mut(OUT * out_w * out_c).enumerate().for_each(|(row, output)| {
+        each(output.chunks_mut(OUT * out_w * out_c).enumerate(), |(row, output)| {
             let above = row * OUT * out_w * out_c;
             let residual = residual.map(|r| &r[above..above + output.len()]);
             vectorised(|| {

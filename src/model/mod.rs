@@ -25,6 +25,9 @@ use crate::shape::{Extent, TensorSpec};
 
 /// Bytes of the largest tensor: what every device can bind.
 const MOST_BYTES: u64 = 128 << 20;
+/// Most multiplications, each with an addition, that a network may ask for at the size of the paper's gel, and as
+/// many more as an input is larger: some seven times those of the large network. They take cores a second.
+pub const MOST_WORK: u64 = 64_000_000_000;
 /// Pixels of the largest picture: as RGBA8 they fill that.
 pub const MAX_PIXELS: usize = MOST_BYTES as usize / 4;
 
@@ -130,7 +133,8 @@ impl Network {
     /// [`Error::Weights`] for a configuration out of its ranges and for tensors that are missing,
     /// misshapen or left over, though without [`Wanted::deepest`] not for those that serve that scale alone;
     /// [`Error::Param`] for a size that is not [`ModelConfig::INPUT_SIZES`]; [`Error::Capacity`] for a tensor
-    /// that no device need hold, by WebGPU's limits, so that no weight file asks the CPU for gigabytes.
+    /// that no device need hold, by WebGPU's limits, so that no weight file asks the CPU for gigabytes, and for
+    /// more than [`MOST_WORK`].
     pub fn new(mut weights: Weights, size: [usize; 2], wanted: Wanted) -> Result<Self> {
         let config = weights.config().clone();
         // Untrained weights come with a configuration that nothing has looked at yet.
@@ -160,6 +164,15 @@ impl Network {
         let proposals = rpn::rpn(&mut graph, &mut weights, settings, fused)?;
         let head = roi_head::roi_head(&mut graph, &mut weights, settings, fused, proposals)?;
         weights.finish()?;
+        let paper = config.paper_size() as f64;
+        let area = (size[0] * size[1]) as f64 / (paper * paper);
+        let (needed, available) =
+            (graph.multiply_adds(), (MOST_WORK as f64 * area.max(1.0)) as u64);
+        if needed > available {
+            let what =
+                format!("multiplications of the weights at {} × {} pixels", size[0], size[1]);
+            return Err(Error::Capacity { what, needed, available });
+        }
         for id in graph.computed() {
             let (name, spec) = (graph.name(id), graph.spec(id));
             if spec.bytes() > MOST_BYTES {

@@ -27,7 +27,6 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::ser::{CompactFormatter, Formatter};
 
-use super::Error;
 use super::conditions::{Conditions, Distribution};
 use super::distractors::Part;
 use super::forced::Forced;
@@ -36,6 +35,7 @@ use super::label::Label;
 use super::render::{Rendered, Renderer, Request};
 use super::scene::Mix;
 use super::snaps::Kind;
+use super::{Error, on_threads};
 use crate::files;
 use crate::rect::Rect;
 use crate::sensor::Sensor;
@@ -163,7 +163,7 @@ pub fn scene_seed(seed: u64, index: u64) -> u64 {
 
 /// Renders what is missing of a data set, then writes `annotations.json`.
 ///
-/// Pictures are spread over rayon's current pool. `progress` is called from any thread, not
+/// Pictures are spread over rayon's current pool, or over one of its own. `progress` is called from any thread, not
 /// always in order. A call with fewer pictures than are there labels the first ones. Nothing is
 /// written before all that is there has been checked.
 ///
@@ -172,6 +172,13 @@ pub fn scene_seed(seed: u64, index: u64) -> u64 {
 /// [`Error::Busy`] while another run writes to it; [`Error::Io`], [`Error::Image`],
 /// [`Error::Content`] or [`Error::Write`] for files; [`Error::NoScene`] from the renderer.
 pub fn simulate(
+    settings: &Settings,
+    progress: &(dyn Fn(Progress) + Sync),
+) -> Result<Summary, Error> {
+    on_threads(|| simulate_here(settings, progress))
+}
+
+fn simulate_here(
     settings: &Settings,
     progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Summary, Error> {

@@ -70,3 +70,16 @@ pub mod surface;
 mod error;
 
 pub use error::Error;
+
+/// Does `work` in rayon's current pool if this thread is of one, else in a pool of its own, of as many threads as
+/// there are cores; of this thread alone where others cannot be had, which rayon's global pool would panic at.
+pub(crate) fn on_threads<R: Send>(work: impl FnOnce() -> R + Send) -> R {
+    if rayon::current_thread_index().is_some() {
+        return work();
+    }
+    let this_alone = || rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread();
+    match rayon::ThreadPoolBuilder::new().build().or_else(|_| this_alone().build()) {
+        Ok(pool) => pool.install(work),
+        Err(_) => work(),
+    }
+}

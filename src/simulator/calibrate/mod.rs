@@ -18,9 +18,9 @@ use std::path::{Path, PathBuf};
 use image::RgbImage;
 use rayon::prelude::*;
 
-use super::Error;
 use super::optics::{Fit, MeasuredSensor, Shading, TERMS, normal_terms, position_terms};
 use super::surface::Surface;
+use super::{Error, on_threads};
 use crate::sensor::{Agreement, Light, Sensor};
 use crate::{files, picture};
 
@@ -150,6 +150,10 @@ impl Report {
 /// expected; [`Error::Ball`] for a ball or a scale that cannot be; [`Error::Undetermined`] if the
 /// presses show too little of the gel for a fit.
 pub fn calibrate(folder: &Path, ball: &Ball) -> Result<Report, Error> {
+    on_threads(|| calibrate_here(folder, ball))
+}
+
+fn calibrate_here(folder: &Path, ball: &Ball) -> Result<Report, Error> {
     let range = |what: &'static str, value: f64, [least, most]: [f64; 2]| {
         let fits = (least..=most).contains(&value);
         if fits { Ok(()) } else { Err(Error::Ball { what, least, most, value }) }

@@ -8,7 +8,7 @@ use serde::Deserialize;
 use smr_gpu::gpu::AdapterChoice;
 use smr_gpu::metrics::{box_iou, center};
 use smr_gpu::{
-    Config, Detections, Device, Error, Frame, GpuDetector, PixelFormat, Rect, WeightSource,
+    Config, Detections, Device, Error, Frame, Gel, GpuDetector, PixelFormat, Rect, WeightSource,
 };
 
 /// COCO labels, as far as these tests read them.
@@ -147,12 +147,8 @@ fn a_frame_gives_what_its_picture_gives() {
         let [r, g, b] = pixel.0;
         data[at..at + 3].copy_from_slice(&[b, g, r]);
     }
-    let frame = Frame::new(&data, 1100, height, PixelFormat::Bgr8).stride(stride).crop(Rect {
-        x: left,
-        y: top,
-        width: side,
-        height: side,
-    });
+    let gel = Gel::Part(Rect { x: left, y: top, width: side, height: side });
+    let frame = Frame::new(&data, 1100, height, PixelFormat::Bgr8).stride(stride).gel(gel);
     let want = detector.detect(&picture.into()).expect("detections").detections;
     let found = detector.detect_frame(&frame).expect("detections");
     assert_eq!((found.width, found.height), (1100, height));

@@ -275,5 +275,8 @@ fn a_detector_runs_on_a_programs_own_device() {
         (0..80u32 * 70).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
     let frame = smr_gpu::Frame::new(pixels, 80, 70, smr_gpu::PixelFormat::Gray8);
     let found = detector.expect("a detector").detect_frame(&frame).expect("a detection");
-    assert!(!found.detections.is_empty() && found.stages.is_empty(), "{found:?}");
+    assert!(!found.detections.is_empty(), "{found:?}");
+    // Without timestamps only what the host does has a time.
+    let stages: Vec<_> = found.stages.iter().map(|time| time.stage.as_str()).collect();
+    assert_eq!(stages, ["frame"]);
 }

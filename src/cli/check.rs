@@ -75,13 +75,6 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             Target::Gpu(gpu)
         }
     };
-    if !args.json {
-        let [operation, kernel, cases] = ["operation", "kernel", "cases"];
-        line(format!(
-            "{operation:<17}  {kernel:<25}  in   {cases:>5}  {:>13}          {}",
-            "error / bound", "nearest case"
-        ))?;
-    }
     let mut all: Vec<Row> = Vec::new();
     let mut no_case = None;
     for entry in entries {
@@ -94,6 +87,13 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             found => found?,
         };
         for row in found {
+            if all.is_empty() && !args.json {
+                let [operation, kernel, cases] = ["operation", "kernel", "cases"];
+                line(format!(
+                    "{operation:<17}  {kernel:<25}  in   {cases:>5}  {:>13}          {}",
+                    "error / bound", "nearest case"
+                ))?;
+            }
             print(&row, &args)?;
             row.failures.iter().for_each(tell);
             for line in &row.overflows {

@@ -86,13 +86,13 @@ pub fn crop_resize(
     std: [f32; 3],
 ) -> Tensor {
     let [columns, lines] = [crop.filters(0, width), crop.filters(1, height)];
-    let bytes: Vec<u8> = picture.data().iter().flat_map(|word| word.to_le_bytes()).collect();
+    let bytes: &[u8] = bytemuck::cast_slice(picture.data());
     let mut rows = vec![[0.0; 3]; height * width];
     each(rows.chunks_mut(width.max(1)).zip(&lines), |(out, (first, weights))| {
         let mut line = vec![[0.0; 3]; crop.columns];
         let mut converted = vec![[0; 3]; crop.columns];
         for (j, weight) in weights.iter().enumerate() {
-            let row = crop.rgb(&bytes, 0..crop.columns, first + j, &mut converted);
+            let row = crop.rgb(bytes, 0..crop.columns, first + j, &mut converted);
             for (sum, pixel) in line.iter_mut().zip(row.as_chunks::<3>().0) {
                 for c in 0..3 {
                     sum[c] += weight * f64::from(pixel[c]) / 255.0;

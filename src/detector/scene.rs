@@ -40,8 +40,7 @@ pub struct Scene {
     /// up to 2 mm past what touches.
     pub margin_mm: f32,
     /// Share of the network's input above which all of it is computed; from 0 to 1. Larger parts save little, and
-    /// where they leave doubt the whole comes on top: by area, the 95th percentile of 150 simulated pictures is
-    /// 1.6 times the whole with 0.8 and 1.0 with 0.6, and the mean 0.58 with either.
+    /// where they leave doubt the whole comes on top.
     pub most_of_input: f32,
     /// How far on the way from the asked-for [`Config::score`](crate::Config::score), or
     /// [`Config::counts_above`](crate::Config::counts_above), to 0 a box is doubtful that parts show, two scales

@@ -183,10 +183,10 @@ impl Op for CropResize {
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
         let (picture, crop) = self.parts(inputs)?;
         let shift = self.shift();
-        let bytes: Vec<u8> = picture.data().iter().flat_map(|word| word.to_le_bytes()).collect();
+        let bytes: &[u8] = bytemuck::cast_slice(picture.data());
         let mut converted = vec![[0; 3]; crop.columns];
         let distances = (0..crop.rows).flat_map(|y| {
-            let row = crop.rgb(&bytes, 0..crop.columns, y, &mut converted);
+            let row = crop.rgb(bytes, 0..crop.columns, y, &mut converted);
             let word = |rgb: &[u8; 3]| {
                 let [r, g, b] = std::array::from_fn(|c| rgb[c].abs_diff(shift[c].0));
                 u32::from_le_bytes([r, g, b, 0])

@@ -67,11 +67,11 @@ fn wrong_command_lines_are_usage_errors() {
         (&["calibrate", "--presses", ".", "--mm-per-pixel", "NaN"], "a number from 0.0005 to 1"),
         (
             &["simulate", "--out", "o", "--count", "1", "--seed", "1", "--sensor", "plain"],
-            "expected paper, gelsight-mini, or a file that states a `frame` to draw",
+            "expected paper, gelsight-mini, digit, or a file that states a `frame` to draw",
         ),
         (
             &["simulate", "--out", "o", "--count", "1", "--seed", "1", "--sensor", "nobody"],
-            "expected paper, gelsight-mini or a file",
+            "expected paper, gelsight-mini, digit or a file",
         ),
         (&["eval", "--data", ".", "./"], "--data: expected each folder once, got . and ./"),
         (&["detect", "-", "-"], "expected once"),

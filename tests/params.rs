@@ -128,7 +128,8 @@ fn every_parameter_is_declared_and_told() {
             let inner = debug.split_once('{').map_or("", |(_, fields)| fields);
             let fields = inner.split([',', '{']).filter_map(|f| f.split_once(':'));
             for field in fields.map(|(name, _)| name.trim()) {
-                let tensor = ["bias", "residual", "count", "classes", "reference"].contains(&field);
+                let tensor =
+                    ["bias", "residual", "order", "count", "classes", "reference"].contains(&field);
                 assert!(tensor || told.contains(&field), "{}: `{field}` is not told", entry.name);
             }
         }

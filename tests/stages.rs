@@ -70,6 +70,8 @@ fn match_pytorch(weights: &str, fixture: &str) {
         let detector = detector(device.clone(), |c| {
             c.weights = WeightSource::File(file(weights));
             c.input_size = Some(size);
+            // As the picture that it is a part of: the input is at the weights' own scale.
+            c.mm_per_pixel = Some(0.04);
         });
         let (found, stages) =
             detector.detect_with_stages(&Frame::from(&picture)).expect("a detection");

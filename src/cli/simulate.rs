@@ -54,7 +54,7 @@ pub(super) struct Args {
     #[arg(long, conflicts_with_all = ["sensor", "part", "force"])]
     press: bool,
 
-    /// Draw the pictures that one sensor takes: `paper`, `gelsight-mini` or a sensor file (JSON), as
+    /// Draw the pictures that one sensor takes: `paper`, `gelsight-mini`, `digit` or a sensor file (JSON), as
     /// `smr-gpu calibrate` writes. Frame, gel, scale, distortion and, if the file has them, light, markers
     /// and the untouched gel's picture are the sensor's. Plain conditions draw all else weakly, but for the
     /// lights' colour, which is grey on some sensors and strong on others.

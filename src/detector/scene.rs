@@ -60,7 +60,7 @@ impl Scene {
         proposals: false,
         scales: false,
         margin_mm: 1.0,
-        most_of_input: 0.6,
+        most_of_input: 0.55,
         doubt: 0.6,
         most_proposals: 32,
     };

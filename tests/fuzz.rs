@@ -1,5 +1,6 @@
 //! The fuzz targets over their corpus and 10 000 changed copies each, from a fixed seed: what
-//! `cargo fuzz` does for hours, in seconds and without nightly.
+//! `cargo fuzz` does for hours, in seconds and without nightly. With `SMR_GPU_FUZZ_SECONDS=600` each goes
+//! on for so long, with other changes.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -94,11 +95,16 @@ fn over_changes(target: &str, changes: usize, run: fn(&[u8])) {
     for (file, bytes) in files.iter().zip(&corpus) {
         timed(&file.display().to_string(), bytes);
     }
-    let mut rng = Pcg64Mcg::seed_from_u64(6);
-    for number in 0..changes {
-        timed(&format!("change {number}"), &changed(&corpus, &mut rng));
+    let seconds = std::env::var("SMR_GPU_FUZZ_SECONDS").ok();
+    let seconds: Option<u64> = seconds.map(|text| text.parse().expect("a number of seconds"));
+    let (start, limit) = (Instant::now(), seconds.map(Duration::from_secs));
+    let mut rng = Pcg64Mcg::seed_from_u64(seconds.unwrap_or(6));
+    let mut done = 0;
+    while limit.map_or(done < changes, |limit| start.elapsed() < limit) {
+        timed(&format!("change {done}"), &changed(&corpus, &mut rng));
+        done += 1;
     }
-    println!("{target}: {} files, {changes} changes, slowest {slowest:.1?}", files.len());
+    println!("{target}: {} files, {done} changes, slowest {slowest:.1?}", files.len());
 }
 
 /// A copy of one of the files with some changes.

@@ -851,7 +851,7 @@ fn the_sensor_sets_scale_and_input() {
         run(folder.path(), &["eval", "--data", ".", "--device", "cpu"]).expect(0)
     };
     fs::copy(folder.path().join("x.png"), folder.path().join("y.png")).expect("copied");
-    let told = labels("").tells(assumption).stderr;
+    let told = labels("").tells("2 pictures, 2 at an assumed scale on").tells(assumption).stderr;
     assert_eq!(told.matches(": assumed").count(), 1, "{told}");
     let told = labels(r#", "mm_per_pixel": 0.05"#).stderr;
     assert_eq!(told.matches(": assumed").count(), 0, "{told}");

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use serde::Serialize;
-use smr_gpu::{Comparison, Device, Frame, GpuDetector, Scene};
+use smr_gpu::{Comparison, Device, Frame, GpuDetector, Scale, Scene};
 
 use super::detector::{self, AdapterArgs, Assumed, BoxArgs, NetworkArgs, fraction};
 use super::exit::{Exit, Failure};
@@ -50,6 +50,8 @@ struct Record<'a> {
     file: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     file_base64: Option<String>,
+    #[serde(flatten)]
+    scale: Scale,
     adapter: String,
     ok: bool,
     stages: Vec<Stage<'a>>,
@@ -141,6 +143,7 @@ fn record<'a>(
     Record {
         file: source.to_string(),
         file_base64: source.base64(),
+        scale: comparison.found.scale,
         adapter: detector.adapter(),
         ok: failures.is_empty(),
         stages: stages.collect(),

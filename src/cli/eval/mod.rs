@@ -15,7 +15,7 @@ use smr_gpu::evaluation::{
 };
 use smr_gpu::files::{self, Outputs};
 use smr_gpu::metrics::ScoredBox;
-use smr_gpu::{Detections, Frame, GpuDetector};
+use smr_gpu::{Detections, Frame, GpuDetector, Origin};
 
 use super::detector::{self, Assumed, DetectorArgs, fraction};
 use super::draw::Gallery;
@@ -114,6 +114,8 @@ struct Set {
     /// Of those that could be read, each with its place in the set.
     seen: Vec<Seen>,
     places: Vec<usize>,
+    /// Of how many the scale was assumed.
+    assumed: usize,
     failed: usize,
     /// What the failed ones make of the exit code.
     exit: Exit,
@@ -123,7 +125,15 @@ struct Set {
 impl Set {
     fn named(name: &str) -> Self {
         let (seen, places) = (Vec::new(), Vec::new());
-        Self { name: name.into(), seen, places, failed: 0, exit: Exit::Done, seconds: 0.0 }
+        Self {
+            name: name.into(),
+            seen,
+            places,
+            assumed: 0,
+            failed: 0,
+            exit: Exit::Done,
+            seconds: 0.0,
+        }
     }
 }
 
@@ -150,6 +160,7 @@ struct Report {
     #[serde(skip_serializing_if = "Option::is_none")]
     data_base64: Option<String>,
     pictures: usize,
+    assumed_scale: usize,
     failed: usize,
     conf: f32,
     iou: f32,
@@ -200,6 +211,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
                 base64(folder.as_os_str()).filter(|_| is_this)
             }),
             pictures: set.seen.len(),
+            assumed_scale: set.assumed,
             failed: set.failed,
             conf: args.conf,
             iou: nms_iou,
@@ -245,6 +257,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
                 false => print::set_row(&report, number == 0, &labels),
             })?;
         }
+        together.assumed += set.assumed;
         together.failed += set.failed;
         together.exit = together.exit.max(set.exit);
         together.seconds += set.seconds;
@@ -304,6 +317,7 @@ fn look_at(
                 for what in assumed.remarks(&labelled.source, &found) {
                     progress.suspend(|| tell(what));
                 }
+                set.assumed += usize::from(found.scale.from == Origin::Assumed);
                 set.seconds += found.wall.as_secs_f64();
                 set.seen.push(seen(labelled, &found));
                 set.places.push(place);

@@ -181,8 +181,12 @@ pub(super) fn remark(report: &Report) {
             count(all, "picture")
         ),
     };
+    let assumed = match report.assumed_scale {
+        0 => String::new(),
+        some => format!(", {some} at an assumed scale"),
+    };
     tell(format!(
-        "{} on {}, {:.3} s each; IoU, errors of centres and yaws and false boxes of detections above a \
+        "{}{assumed} on {}, {:.3} s each; IoU, errors of centres and yaws and false boxes of detections above a \
          score of {}, average precision above {LEAST_SCORE}; in brackets 95 % intervals{empty}{paper}",
         count(report.pictures, "picture"),
         report.adapter,

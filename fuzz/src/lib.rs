@@ -1,4 +1,4 @@
-//! What is tried with bytes that nobody vouches for. Each target is a function of bytes that panics
+//! What is tried with untrusted bytes. Each target is a function of bytes that panics
 //! if something is wrong; `cargo fuzz` calls it, and so does `tests/fuzz.rs` without nightly.
 
 pub mod annotations;

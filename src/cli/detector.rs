@@ -31,7 +31,7 @@ const WEIGHTS_VARIABLE: &str = "SMR_GPU_WEIGHTS";
 #[derive(Debug, clap::Args)]
 pub(super) struct DeviceArgs {
     /// `auto` for a hardware adapter if there is one, else this machine's cores; `gpu` for the best
-    /// adapter, be it software; its index in `smr-gpu devices`, which is any number, or part of its name;
+    /// adapter, including software renderers; its index in `smr-gpu devices`, which is any number, or part of its name;
     /// `cpu` for this machine's cores, or `reference` for the f64 reference, which is slow.
     #[arg(long, default_value = "auto", value_name = "auto|gpu|cpu|reference|INDEX|NAME")]
     #[arg(value_parser = known::<Device>, allow_negative_numbers = true)]
@@ -41,7 +41,7 @@ pub(super) struct DeviceArgs {
 /// The adapter of a command that only a GPU can run.
 #[derive(Debug, clap::Args)]
 pub(super) struct AdapterArgs {
-    /// `auto` for the best adapter, be it software; its index in `smr-gpu devices`, which is any number, or part of its
+    /// `auto` for the best adapter, including software renderers; its index in `smr-gpu devices`, which is any number, or part of its
     /// name.
     #[arg(long, default_value = "auto", value_name = "auto|INDEX|NAME")]
     #[arg(value_parser = known::<Device>, allow_negative_numbers = true)]
@@ -245,7 +245,7 @@ impl AdapterArgs {
             Device::Gpu(choice) => Ok(choice.clone()),
             Device::Auto => Ok(AdapterChoice::Auto),
             Device::Cpu | Device::Reference => {
-                Err(Failure::usage("--device: expected a GPU, be it software, got the CPU"))
+                Err(Failure::usage("--device: expected a GPU or a software renderer, got the CPU"))
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Reading pictures that nobody vouches for: PNG, JPEG, BMP and TIFF.
+//! Reading untrusted pictures: PNG, JPEG, BMP and TIFF.
 //!
 //! Whatever the bytes are, [`decode`] ends with the whole picture or with an [`Error`]. It does not
 //! panic, since it catches what a decoder does, and it keeps to limits:

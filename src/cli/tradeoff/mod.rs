@@ -70,7 +70,7 @@ pub(super) struct Args {
     #[arg(allow_negative_numbers = true)]
     min_iou: Option<f64>,
 
-    /// The adapter to measure beside the CPU: `auto` for the best, be it software; its index in
+    /// The adapter to measure beside the CPU: `auto` for the best, including software renderers; its index in
     /// `smr-gpu devices`, or part of its name; `cpu` for none.
     #[arg(long, default_value = "auto", value_name = "auto|INDEX|NAME|cpu")]
     #[arg(value_parser = known::<Device>, allow_negative_numbers = true)]

@@ -23,7 +23,8 @@ use super::{picture, tensors};
 /// Find the snaps in pictures
 ///
 /// Prints a line a snap, or with --json an object a picture. A picture that cannot be read is named
-/// on stderr; the others still go through.
+/// on stderr; the others still go through. Pictures have at most 33 554 432 pixels and 320 MiB; with weights
+/// of at most 256 MiB that takes less than 1 GiB of memory, what a GPU's driver takes aside.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Pictures (PNG, JPEG, BMP, TIFF), folders of pictures, patterns such as 'in/*.png', or `-`

@@ -313,6 +313,17 @@ mod tests {
         assert_eq!(seen(&frame), [20, 21, 28, 29].map(|v| [v; 3]));
     }
 
+    /// Pixels of 4 × 2 numbered from 0, of which columns 2 and 3 are seen.
+    #[test]
+    fn a_part_of_pixels_of_several_bytes() {
+        let part = Rect { x: 2, y: 0, width: 2, height: 2 };
+        let rgb: Vec<u8> = (0..8).flat_map(|i| [i, 10 + i, 20 + i]).collect();
+        let want = [2, 3, 6, 7].map(|i| [i, 10 + i, 20 + i]);
+        assert_eq!(seen(&Frame::new(rgb, 4, 2, PixelFormat::Rgb8).crop(part)), want);
+        let bgra: Vec<u8> = (0..8).flat_map(|i| [20 + i, 10 + i, i, 99]).collect();
+        assert_eq!(seen(&Frame::new(bgra, 4, 2, PixelFormat::Bgra8).crop(part)), want);
+    }
+
     #[test]
     fn what_is_not_there_is_refused() {
         let data = vec![0; 3 * 4 * 3];

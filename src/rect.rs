@@ -72,3 +72,39 @@ impl fmt::Display for Rect {
         write!(f, "{width} × {height} at ({x}, {y})")
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rect(x: u32, y: u32, width: u32, height: u32) -> Rect {
+        Rect { x, y, width, height }
+    }
+
+    #[test]
+    fn what_two_parts_share_by_hand() {
+        let (a, b) = (rect(10, 20, 30, 40), rect(25, 5, 50, 20));
+        // Columns 25 to 40, rows 20 to 25.
+        assert_eq!(
+            (a.within(&b), b.within(&a)),
+            (Some(rect(25, 20, 15, 5)), Some(rect(25, 20, 15, 5)))
+        );
+        assert_eq!(a.within(&rect(40, 20, 5, 5)), None);
+        assert_eq!(a.within(&rect(10, 60, 5, 5)), None);
+    }
+
+    /// Edges at 2.5 and 10, and at 7.5 and 22.5.
+    #[test]
+    fn a_part_of_a_scaled_picture_by_hand() {
+        assert_eq!(rect(10, 20, 30, 40).scaled([0.25, 0.375], [25, 37]), rect(3, 8, 7, 15));
+        // No part is empty, nor outside.
+        assert_eq!(rect(99, 99, 1, 1).scaled([0.1, 0.1], [10, 10]), rect(9, 9, 1, 1));
+    }
+
+    #[test]
+    fn middles_by_hand() {
+        let part = rect(10, 20, 35, 8);
+        assert_eq!(part.middle(), [27.5, 24.0]);
+        assert_eq!(part.central(2.0), rect(19, 20, 16, 8));
+    }
+}

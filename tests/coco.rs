@@ -7,6 +7,7 @@ use smr_gpu::coco::{self, Dataset};
 use smr_gpu::metrics::{
     Areas, PictureBoxes, ScoredBox, average_precision, average_precision_50_95, coco_overlaps,
 };
+use smr_gpu::{Frame, Gel, PixelFormat, Rect, Scale};
 
 fn fixture() -> Value {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/coco.json");
@@ -124,6 +125,21 @@ fn annotations_are_read() {
         annotation["bbox"] = json!([-0.5, -1, 81.5, 62]);
     });
     assert!(!parse(&rounded).expect("annotations").pictures[1].labels[0].truth.crowd);
+}
+
+#[test]
+fn a_frame_has_what_its_label_states() {
+    let gel = json!({ "x": 3, "y": 2, "width": 70, "height": 50 });
+    let stated = changed(|v| {
+        v["images"][0]["gel"] = gel;
+        v["images"][0]["mm_per_pixel"] = json!(0.07);
+    });
+    let data = parse(&stated).expect("annotations");
+    let frame = || Frame::new(vec![0; 80 * 60], 80, 60, PixelFormat::Gray8);
+    let [bare, stated] = [0, 1].map(|i| data.pictures[i].state(frame()));
+    let part = Gel::Part(Rect { x: 3, y: 2, width: 70, height: 50 });
+    assert_eq!((stated.gel, stated.scale), (Some(part), Some(Scale::label(0.07))));
+    assert_eq!((bare.gel, bare.scale), (None, None));
 }
 
 #[test]

@@ -1,5 +1,8 @@
 //! The layout of the sources and the shaders' limits: an operation is one stem in five places.
 
+#[path = "support/host_faults.rs"]
+mod host_faults;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
@@ -179,4 +182,28 @@ fn shaders_validate_and_keep_to_the_default_limits() {
         }
     }
     assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
+
+/// The faults that `examples/host_faults.rs` plants are in the sources as they stand, their tests are there,
+/// and the table for people has them all.
+#[test]
+fn faults_of_the_host_can_be_planted() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let read = |file: &str| std::fs::read_to_string(root.join(file));
+    let table = read("docs/mutants.md").expect("docs/mutants.md");
+    let (_, table) = table.split_once("## Planted faults in host code").expect("a section of them");
+    let (table, _) = table.split_once("\n## ").unwrap_or((table, ""));
+    let rows: Vec<&str> = table.lines().filter(|line| line.starts_with("| ")).skip(1).collect();
+    let wanted: Vec<String> = host_faults::FAULTS.iter().map(|fault| fault.row()).collect();
+    assert_eq!(rows, wanted, "docs/mutants.md (left) against tests/support/host_faults.rs");
+    assert!(wanted.len() >= 60, "{} faults", wanted.len());
+    for fault in host_faults::FAULTS {
+        let source = read(&fault.path()).unwrap_or_else(|e| panic!("{}: {e}", fault.path()));
+        assert_eq!(source.matches(fault.from).count(), 1, "{}: {}", fault.path(), fault.from);
+        let files = fault.test_files();
+        let tests: String = files.iter().filter_map(|file| read(file).ok()).collect();
+        let (_, name) = fault.place();
+        let name = name.rsplit("::").next().expect("a name");
+        assert!(tests.contains(&format!("fn {name}()")), "no {name} in {files:?}");
+    }
 }

@@ -138,6 +138,22 @@ mod png {
         assert_eq!(decode(&plain).expect("a picture"), picture.into());
     }
 
+    /// Orientation 8, turned clockwise to be stored, behind an entry of another kind, in both orders of bytes.
+    #[test]
+    fn exif_data_begin_with_either_end() {
+        let picture = image::RgbImage::from_fn(3, 2, |x, y| Rgb([x as u8 * 100, y as u8 * 100, 7]));
+        let plain = saved(picture.clone().into());
+        let big = b"MM\0\x2a\0\0\0\x08\0\x02\x01\0\0\x03\0\0\0\x01\0\x03\0\0\
+            \x01\x12\0\x03\0\0\0\x01\0\x08\0\0";
+        let little = b"II\x2a\0\x08\0\0\0\x02\0\0\x01\x03\0\x01\0\0\0\x03\0\0\0\
+            \x12\x01\x03\0\x01\0\0\0\x08\0\0\0";
+        let turned = DynamicImage::from(image::imageops::rotate270(&picture));
+        for exif in [&big[..], little] {
+            let bytes = [&plain[..33], &chunk(b"eXIf", exif), &plain[33..]].concat();
+            assert_eq!(decode(&bytes).expect("a picture"), turned);
+        }
+    }
+
     /// A picture with this EXIF data.
     fn with_exif(exif: &[u8]) -> Vec<u8> {
         let plain = saved(image::RgbImage::new(3, 2).into());

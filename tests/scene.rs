@@ -6,8 +6,8 @@ use smr_gpu::detector::MOST_REUSED;
 use smr_gpu::gpu::AdapterChoice;
 use smr_gpu::metrics::box_iou;
 use smr_gpu::{
-    Config, Detections, Device, Frame, GpuDetector, PixelFormat, Precision, Rect, Scene, Sensor,
-    picture,
+    Config, Detections, Device, Frame, Gel, GpuDetector, PixelFormat, Precision, Rect, Scale,
+    Scene, Sensor, picture,
 };
 
 const SIDE: u32 = 1000;
@@ -409,4 +409,80 @@ fn a_stream_keeps_what_did_not_change_and_no_longer_than_stated() {
     let reused: Vec<bool> =
         detector.detect_stream(frames).map(|found| found.expect("detections").reused).collect();
     assert_eq!(reused, [false, true]);
+}
+
+/// Bare gel is alike all over but for its light, which a stream does not look at: that the view is another
+/// decides.
+#[test]
+fn a_stream_looks_anew_at_another_view() {
+    let scene = Scene { contact: true, ..Scene::FULL };
+    let detector = GpuDetector::new(config(Device::Cpu, scene)).expect("a detector");
+    let bare = gel(1, 1.0, |_, _| 0.0);
+    let square = |at: u32, side: u32| Rect { x: at, y: at, width: side, height: side };
+    let part = |at, side| Gel::Part(square(at, side));
+    let first = bare.clone().crop(square(200, 600)).gel(Gel::All).scale(Scale::stated(0.04));
+    // The same part of another gel, at another scale with as many cells, and another part.
+    let gel = first.clone().gel(part(100, 850));
+    let scale = first.clone().scale(Scale::stated(0.0401));
+    let crop = first.clone().crop(square(390, 600));
+    for other in [gel, scale, crop] {
+        let mut stream = detector.stream();
+        let mut reused = |frame| stream.detect(frame).expect("detections").reused;
+        let seen = [&first, &first, &other, &other, &first].map(&mut reused);
+        assert_eq!(seen, [false, true, false, true, false], "{other:?}");
+    }
+}
+
+/// What two parts say is what each says of its disc alone.
+#[test]
+fn two_snaps_in_two_parts() {
+    let scene = Scene { contact: true, regions: true, doubt: 0.0, ..Scene::FULL };
+    let detector = GpuDetector::new(config(Device::Cpu, scene).score(0.01)).expect("a detector");
+    let (upper, lower) = (disc(200, 200), disc(800, 800));
+    let frames =
+        [gel(3, 1.0, &upper), gel(3, 1.0, &lower), gel(3, 1.0, |x, y| upper(x, y) + lower(x, y))];
+    let [a, b, both] = frames.map(|frame| detector.detect_frame(&frame).expect("detections"));
+    let parts = |found: &Detections| found.regions.as_ref().map(Vec::len);
+    assert_eq!([&a, &b, &both].map(parts), [Some(1), Some(1), Some(2)]);
+    assert_eq!(
+        both.regions,
+        Some([a.regions.expect("a part"), b.regions.expect("a part")].concat())
+    );
+    assert_eq!(both.proposals, a.proposals + b.proposals);
+}
+
+/// Frames of sizes of their own come in their order, whatever is in flight.
+#[test]
+fn pictures_come_in_their_order() {
+    let scene = Scene { contact: true, ..Scene::FULL };
+    let config = config(Device::Cpu, scene).in_flight(3);
+    let detector = GpuDetector::new(config).expect("a detector");
+    let sides: Vec<u32> = (0..7).map(|i| 300 + 10 * i).collect();
+    let frame = |side: &u32| {
+        Frame::new(vec![120; (side * side) as usize], *side, *side, PixelFormat::Gray8)
+    };
+    let found: Vec<u32> = detector
+        .detect_many(sides.iter().map(frame).collect::<Vec<_>>())
+        .map(|found| found.expect("detections").width)
+        .collect();
+    assert_eq!(found, sides);
+}
+
+/// A stud whose score is the asked-for one is in doubt, and after a second look still not above it.
+#[test]
+fn what_is_in_doubt_is_not_shown() {
+    let picture = picture::read(file("samples/stud.png")).expect("a sample");
+    let detect = |scene, score| {
+        let config = config(Device::Cpu, scene).score(score);
+        let detector = GpuDetector::new(config).expect("a detector");
+        detector.detect(&picture).expect("detections")
+    };
+    let all = detect(Scene::FULL, 0.5).detections;
+    let least = all.iter().map(|found| found.score).fold(1.0, f32::min);
+    assert!(!all.is_empty());
+    let doubting = Scene { proposals: true, doubt: 1.0, ..Scene::FULL };
+    let found = detect(doubting, least);
+    assert!(found.looked_again);
+    assert!(found.detections.iter().all(|found| found.score > least), "{:?}", found.detections);
+    assert_eq!(found.detections.len(), all.iter().filter(|found| found.score > least).count());
 }

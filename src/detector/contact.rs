@@ -294,4 +294,79 @@ mod tests {
         let inside = ["........", "........", "........", "........", ".####...", "........"];
         assert!(seen(inside).is_empty());
     }
+
+    /// Ten tiles of a ring, of which no square of 3 × 3 holds more than three.
+    #[test]
+    fn ten_tiles_of_a_ring_are_contact() {
+        let arc = ["........", "..####..", ".#....#.", ".#....#.", "..##....", "........"];
+        assert_eq!(seen(arc).len(), 10);
+    }
+
+    #[test]
+    fn the_last_tile_counts() {
+        let corner = ["........", "........", "........", "........", "......##", "......##"];
+        assert_eq!(seen(corner), [[6, 4], [7, 4], [6, 5], [7, 5]]);
+    }
+
+    fn view(width: u32, height: u32, mm: f32) -> View {
+        let gel = Rect { x: 10, y: 20, width: 500, height: 500 };
+        View {
+            frame: [600, 600],
+            gel,
+            gel_assumed: false,
+            part: Rect { x: 30, y: 40, width, height },
+            scale: crate::scale::Scale::stated(mm),
+            lens: crate::sensor::Lens::of([0.0; 2], [600.0; 2], 0.0),
+        }
+    }
+
+    /// 30.6 and 14.8 cells, 30.4 and 14.2, and at least one.
+    #[test]
+    fn cells_are_half_millimetres_of_the_part() {
+        assert_eq!(cells(&view(306, 148, 0.05)), [15, 31]);
+        assert_eq!(cells(&view(304, 142, 0.05)), [14, 30]);
+        assert_eq!(cells(&view(1, 400, 0.05)), [40, 1]);
+    }
+
+    /// Three channels of so many cells at a level of 100, but for one cell, counted by column and row.
+    fn even_but([height, width]: [usize; 2], [x, y]: [usize; 2], level: f32) -> Tensor {
+        Tensor::from_fn([3, height, width], |i| {
+            let at = i % (height * width);
+            if (at % width, at / width) == (x, y) { level } else { 100.0 }
+        })
+    }
+
+    /// 2.34 % of one frame, half of that of the mean of four.
+    #[test]
+    fn of_four_frames_the_mean_may_differ_by_half() {
+        let (before, mean) = (even_but([20; 2], [9, 9], 100.0), even_but([20; 2], [9, 9], 101.8));
+        assert!(has_changed(&mean, &before, 4) && !has_changed(&mean, &before, 1));
+        let little = even_but([20; 2], [9, 9], 101.1);
+        assert!(!has_changed(&little, &before, 4));
+    }
+
+    /// 21 × 21 cells are 11 × 11 tiles, of which the last holds one cell; the other cell is the lower right
+    /// one of its tile.
+    #[test]
+    fn the_last_of_an_odd_number_of_cells_counts() {
+        let rule = ContactRule { least: 0.05, most: 0.05, clipped: f32::MAX };
+        for (cell, tile) in [([20, 20], 120), ([5, 5], 2 * 11 + 2), ([20, 7], 3 * 11 + 10)] {
+            let words = contact(&even_but([21; 2], cell, 200.0), None, rule);
+            assert_eq!(words.len(), 4);
+            assert!(words[tile / 32] >> (tile % 32) & 1 == 1, "{cell:?}: {words:?}");
+        }
+        assert_eq!(Contact::tiles([21, 4]), [11, 2]);
+    }
+
+    /// A square's corners see four of nine, its sides six: what lies two tiles before a side belongs to it, what
+    /// lies three before does not.
+    #[test]
+    fn two_tiles_round_a_core_belong_to_it() {
+        let square = ["........", "...###..", ".#.###..", "...###..", "........", "........"];
+        assert!(seen(square).contains(&[1, 2]));
+        let square = ["........", "...###..", "#..###..", "...###..", "........", "........"];
+        assert_eq!(seen(square).len(), 9);
+        let below = [".#......", "........", "###.....", "###.....", "###.....", "........"];
+        assert!(seen(below).contains(&[1, 0]));
+    }
 }

@@ -306,3 +306,206 @@ fn check_finite(network: &Network, values: &Values) -> Result<()> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::sync::LazyLock;
+
+    use super::*;
+    use crate::cpu::crop_resize;
+    use crate::model::{Wanted, Weights};
+    use crate::pixel_format::PixelFormat;
+    use crate::scale::Scale;
+    use crate::sensor::Lens;
+    use crate::tensor::Tensor;
+
+    /// A frame of 640 × 400 pixels whose gel's middle is at (300, 190), of which 300 × 200 at (120, 60) are
+    /// seen.
+    fn view(mm_per_pixel: f32) -> View {
+        View {
+            frame: [640, 400],
+            gel: Rect { x: 100, y: 40, width: 400, height: 300 },
+            gel_assumed: false,
+            part: Rect { x: 120, y: 60, width: 300, height: 200 },
+            scale: Scale::stated(mm_per_pixel),
+            lens: Lens::of([0.0; 2], [640.0, 400.0], 0.0),
+        }
+    }
+
+    fn input(mm_per_pixel: f32, resized: [usize; 2], size: [usize; 2]) -> Input<'static> {
+        static FRAME: LazyLock<Frame> =
+            LazyLock::new(|| Frame::new(vec![0; 640 * 400], 640, 400, PixelFormat::Gray8));
+        let (view, geometry) = (view(mm_per_pixel), Geometry { resized, size });
+        Input::new(Instant::now(), &FRAME, view, geometry, true).expect("an input")
+    }
+
+    /// Two frame pixels for one of the input along x, and 2.5 along y.
+    fn uneven() -> Input<'static> {
+        input(0.05, [150, 80], [96, 160])
+    }
+
+    fn network() -> Network {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("weights/smrnet-s.safetensors");
+        Network::new(Weights::open(&file).expect("weights"), [96, 160], Wanted::ALL)
+            .expect("a network")
+    }
+
+    /// What a network says that found these boxes, with their classes from 1 and their poses.
+    fn values(network: &Network, found: &[([f32; 4], u32, [f32; 5])]) -> Values {
+        let n = found.len();
+        let floats = |shape: &[usize], data: Vec<f32>| -> Value {
+            Tensor::new(crate::shape::Shape(shape.to_vec()), data).expect("a tensor").into()
+        };
+        let integers =
+            |data: Vec<u32>| -> Value { Tensor::new([data.len()], data).expect("a tensor").into() };
+        let flat = |f: &dyn Fn(usize) -> Vec<f32>| (0..n).flat_map(f).collect::<Vec<f32>>();
+        let mut values = Values::from([
+            (network.boxes, floats(&[n, 4], flat(&|i| found[i].0.to_vec()))),
+            (network.scores, floats(&[n], vec![0.9; n])),
+            (network.margins, floats(&[n], vec![2.0; n])),
+            (network.classes, integers(found.iter().map(|f| f.1).collect())),
+            (network.count, integers(vec![n as u32])),
+            (network.proposal_count, integers(vec![7])),
+        ]);
+        let pose = network.pose.expect("weights that know poses");
+        values.insert(pose, floats(&[n, 5], flat(&|i| found[i].2.to_vec())));
+        let counts = network.witnesses.iter().map(|w| (w.counts, integers(vec![0])));
+        values.extend(counts);
+        values
+    }
+
+    fn detections(
+        input: &Input,
+        window: &Window,
+        found: &[([f32; 4], u32, [f32; 5])],
+    ) -> Vec<Detection> {
+        let network = network();
+        let answer = input.answer(&network, &values(&network, found), window, 0);
+        answer.expect("an answer").found.into_iter().map(|found| found.detection).collect()
+    }
+
+    /// By hand. The second box reaches into the repeated edges: the part ends at column 420 and row 260.
+    #[test]
+    fn boxes_come_back_to_the_frame() {
+        let input = uneven();
+        let boxes = [[10.0, 20.0, 50.0, 60.0], [140.0, 70.0, 158.0, 95.0]];
+        let found =
+            detections(&input, &input.whole(), &[(boxes[0], 1, [0.0; 5]), (boxes[1], 2, [0.0; 5])]);
+        assert_eq!(found[0].bbox, [140.0, 110.0, 220.0, 210.0]);
+        assert_eq!(found[1].bbox, [400.0, 235.0, 420.0, 260.0]);
+        // (180, 160) and (410, 247.5), from (300, 190).
+        assert_eq!(found[0].center_mm, [-120.0 * 0.05, -30.0 * 0.05]);
+        assert_eq!(found[1].center_mm, [110.0 * 0.05, 57.5 * 0.05]);
+        let classes: Vec<_> = found.iter().map(|d| (d.class.as_str(), d.class_index)).collect();
+        assert_eq!(classes, [("A", 0), ("B", 1)]);
+    }
+
+    #[test]
+    fn a_windows_boxes_come_back_to_the_frame() {
+        let window = Window { x: 32, y: 16, width: 64, height: 64 };
+        let found = detections(&uneven(), &window, &[([10.0, 20.0, 50.0, 60.0], 1, [0.0; 5])]);
+        // Columns 42 to 82 and rows 36 to 76 of the input.
+        assert_eq!(found[0].bbox, [204.0, 150.0, 284.0, 250.0]);
+    }
+
+    /// At the weights' own 8 pixels a millimetre: two frame pixels of 1/16 mm for one of the input.
+    #[test]
+    fn a_pose_is_that_of_its_box() {
+        let input = input(0.0625, [150, 100], [128, 160]);
+        let bbox = [10.0, 20.0, 50.0, 60.0];
+        let poses = [[30.0, 1.0, 0.1, 0.2, 0.75], [-60.0, 2.0, 0.3, 0.4, 0.25]];
+        let found = detections(&input, &input.whole(), &[(bbox, 1, poses[0]), (bbox, 2, poses[1])]);
+        let [hook, stud] = &found[..] else { panic!("two: {found:?}") };
+        assert_eq!((hook.yaw_deg, hook.yaw_std_deg), (Some(30.0), Some(1.0)));
+        assert_eq!((hook.center_std_mm, hook.whole), (Some([0.1, 0.2]), Some(0.75)));
+        // A stud has no direction.
+        assert_eq!((stud.yaw_deg, stud.yaw_std_deg), (None, None));
+        assert_eq!((stud.center_std_mm, stud.whole), (Some([0.3, 0.4]), Some(0.25)));
+    }
+
+    #[test]
+    fn one_value_that_is_not_finite_is_named() {
+        let (input, network) = (uneven(), network());
+        let mut values = values(&network, &[]);
+        let witness = network.witnesses.last().expect("witnesses");
+        values.insert(witness.counts, Tensor::new([1], vec![1_u32]).expect("a tensor").into());
+        let error = input.answer(&network, &values, &input.whole(), 0).err().expect("an error");
+        assert!(
+            matches!(&error, Error::NotFinite { stage, count: 1 } if *stage == witness.stage),
+            "{error}"
+        );
+    }
+
+    /// 0.4 pixels of the input for one of the frame: 140.4 and 59.6, in whole thirty-twos.
+    #[test]
+    fn sizes_are_rounded_and_filled_up() {
+        let part = Rect { x: 3, y: 5, width: 351, height: 149 };
+        let view = View { part, ..view(0.05) };
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("weights/smrnet-s.safetensors");
+        let weights = Weights::open(&file).expect("weights");
+        let geometry = |longer| Geometry::new(&view, weights.config(), longer).expect("a size");
+        assert_eq!(geometry(None), Geometry { resized: [140, 60], size: [64, 160] });
+        // 149 · 320 / 351 = 135.8.
+        assert_eq!(geometry(Some(320)), Geometry { resized: [320, 136], size: [160, 320] });
+    }
+
+    #[test]
+    fn windows_are_told_in_pixels_of_the_frame() {
+        let input = uneven();
+        // Columns 32 to 96 are 64 to 192, rows 16 to 49 are 40 to 122.5, all from (120, 60).
+        let window = Window { x: 32, y: 16, width: 64, height: 33 };
+        let want = Rect { x: 184, y: 100, width: 128, height: 83 };
+        assert_eq!(input.rect(&window), want);
+        // What repeats the edge shows no more than the part.
+        let window = Window { x: 96, y: 64, width: 64, height: 32 };
+        let want = Rect { x: 312, y: 220, width: 108, height: 40 };
+        assert_eq!(input.rect(&window), want);
+        assert_eq!(input.rect(&input.whole()), input.view.part);
+    }
+
+    /// `tests/fixtures/resize.py` has numbers of its own for a part that is shrunk across, stretched along
+    /// and filled up to 32 × 32.
+    #[test]
+    fn the_network_sees_what_python_computes() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/resize.json");
+        let text = std::fs::read_to_string(file).expect("a fixture");
+        let stored: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+        let numbers = |name: &str| -> Vec<usize> {
+            serde_json::from_value(stored[name].clone()).expect("numbers")
+        };
+        let levels: Vec<f32> = serde_json::from_value(stored["levels"].clone()).expect("levels");
+        let [width, height] = numbers("frame")[..] else { panic!("a size") };
+        let bytes: Vec<u8> = (0..height * width * 3)
+            .map(|i| {
+                let (x, y, c) = (i / 3 % width, i / 3 / width, i % 3);
+                ((x * x * 3 + y * 29 + c * 71 + x * y * 5) % 251) as u8
+            })
+            .collect();
+        let frame = Frame::new(bytes, width as u32, height as u32, PixelFormat::Rgb8);
+        let [x, y, w, h] = numbers("part")[..] else { panic!("a part") };
+        let [x, y, w, h] = [x, y, w, h].map(|n| n as u32);
+        let part = Rect { x, y, width: w, height: h };
+        let frame_size = [frame.width, frame.height];
+        let view = View { frame: frame_size, gel: part, part, ..view(0.5) };
+        let [across, along] = numbers("resized")[..] else { panic!("a size") };
+        let geometry = Geometry { resized: [across, along], size: [32, 32] };
+        let input = Input::new(Instant::now(), &frame, view, geometry, false).expect("an input");
+        for window in [input.whole(), Window { x: 5, y: 14, width: 27, height: 18 }] {
+            let (Value::U32(pixels), Value::U32(crop)) =
+                (&input.pixels, &input.part(&window).expect("a crop"))
+            else {
+                panic!("integers")
+            };
+            let crop = Crop::from_tensor(crop, pixels.data().len()).expect("a crop");
+            let size = [window.height, window.width];
+            let seen = crop_resize(pixels, crop, size, [0.0; 3], [1.0 / 255.0; 3]);
+            for (i, level) in seen.data().iter().enumerate() {
+                let (x, y) = (i % window.width, i / window.width % window.height);
+                let c = i / (window.width * window.height);
+                let want = levels[(c * 32 + window.y + y) * 32 + window.x + x];
+                assert!((level - want).abs() < 0.002, "({x}, {y}, {c}): {level} for {want}");
+            }
+        }
+    }
+}

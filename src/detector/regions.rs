@@ -334,5 +334,21 @@ mod tests {
         assert!(!is_cut([0.0, 70.0, 50.0, 160.0], &window, size));
         assert!(is_cut([0.0, 65.0, 50.0, 160.0], &window, size));
         assert!(is_cut([40.0, 70.0, 95.0, 100.0], &window, size));
+        // The input's own right edge, and an inner left one.
+        let window = Window { x: 128, y: 0, width: 96, height: 96 };
+        assert!(!is_cut([140.0, 0.0, 224.0, 50.0], &window, size));
+        assert!(is_cut([129.0, 0.0, 150.0, 50.0], &window, size));
+        assert!(is_cut([140.0, 0.0, 150.0, 95.0], &window, size));
+    }
+
+    /// Two inputs long and one high for the same number of millimetres: cells of 4 × 8 pixels. Tile (10, 5) is
+    /// columns 80 to 88 and rows 80 to 96, and a millimetre 8 × 16 pixels. Parts are 96 long: of the 72 and 48
+    /// pixels that are over half lies before, in whole eights.
+    #[test]
+    fn each_axis_has_a_scale_of_its_own() {
+        let geometry = Geometry { resized: [320, 160], size: [160, 320] };
+        let scene = Scene { margin_mm: 1.0, ..SCENE };
+        let got = windows(&Map::of([10, 40], &[[10, 5]]), &geometry, &scene).expect("a part");
+        assert_eq!(got, [Window { x: 40, y: 40, width: 96, height: 96 }]);
     }
 }

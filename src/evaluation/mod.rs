@@ -372,4 +372,15 @@ pub(super) mod tests {
         assert_eq!(twice, Some([low, high]));
         assert_eq!(figures(&pictures, &[0], 0.5), got, "the same pictures, the same intervals");
     }
+
+    /// Three pixels of half a millimetre further right and four further down.
+    #[test]
+    fn a_box_off_to_below_is_off() {
+        let scored = ScoredBox { bbox: [3.0, 4.0, 43.0, 44.0], score: 0.9 };
+        let truth = Truth::new([0.0, 0.0, 40.0, 40.0]);
+        let snap = Snap { truth, ..snap(0, 0.0, &[]) };
+        let got =
+            figures(&[seen(vec![snap], vec![Found { scored, ..found(0, 0.0, 0.9) }])], &[0], 0.5);
+        assert_eq!(got.center_error_mm.median, Some(2.5));
+    }
 }

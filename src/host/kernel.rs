@@ -127,3 +127,25 @@ pub(crate) fn convert(spec: &TensorSpec, from: Layout, input: &[f32], output: &m
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two maps of five channels of 2 × 3 pixels; channel c of pixel p of map r is 100 r + 10 c + p.
+    #[test]
+    fn each_channel_has_its_place_in_the_other_layout() {
+        let value = |r: usize, c: usize, p: usize| (100 * r + 10 * c + p) as f32;
+        let (mut planar, mut last) = (Vec::new(), Vec::new());
+        for r in 0..2 {
+            (0..5).for_each(|c| planar.extend((0..6).map(|p| value(r, c, p))));
+            (0..6).for_each(|p| last.extend((0..5).map(|c| value(r, c, p))));
+        }
+        let spec = TensorSpec::f32([2, 5, 2, 3]);
+        let mut got = vec![f32::NAN; 60];
+        convert(&spec, Layout::ChannelsLast, &last, &mut got);
+        assert_eq!(got, planar);
+        convert(&spec, Layout::Planar, &planar, &mut got);
+        assert_eq!(got, last);
+    }
+}

@@ -65,7 +65,7 @@ have_adapter() {
 }
 
 # Each feature alone compiles, and a program that embeds the detector gets few crates with it.
-most_crates=85
+most_crates=75
 features() {
     local feature
     # None, with the tests that need none.

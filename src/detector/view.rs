@@ -63,7 +63,12 @@ pub(crate) fn view(frame: [u32; 2], known: Known) -> Result<View> {
     let all = Rect { x: 0, y: 0, width, height };
     let fail = |message: String| Error::Scale { width, height, message };
     if let Some(scale) = known.scale {
-        scale.check().map_err(|e| fail(e.to_string()))?;
+        scale.check().map_err(|e| match e {
+            Error::Param { expected, got, .. } => {
+                fail(format!("scale: expected {expected}, got {got}"))
+            }
+            other => other,
+        })?;
     }
     let sensed = match known.sensor {
         Some(sensor) => match (sensor.sense(frame), known.scale, known.gel) {
@@ -314,7 +319,10 @@ mod tests {
         assert_eq!(message([2000, 10], 0.05), want);
         assert!(message([100, 100], 0.05).contains("got 5.000 mm"));
         for mm in [0.0, -0.04, f32::NAN, f32::INFINITY] {
-            assert!(message([100, 100], mm).contains("`scale`: expected 0.0005 to 1"), "{mm}");
+            assert!(
+                message([100, 100], mm).contains("pixels: scale: expected 0.0005 to 1 mm"),
+                "{mm}"
+            );
         }
     }
 

@@ -148,7 +148,7 @@ impl Op for DecodeDetections {
         ])
     }
 
-    /// Boxes: see `decode_bound`. Margins: see [`margin_bound`]. Scores: as of `decode_proposals`,
+    /// Boxes: see `decode_bound`. Margins: see `margin_bound`. Scores: as of `decode_proposals`,
     /// s(1 − s) times the errors of exp and of the margin, and of the quotient and the sum 7ε.
     fn tolerance(&self, inputs: &[&Value], _reference: &[Value]) -> Result<Vec<Tolerance>> {
         let (rois, deltas, logits) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);

@@ -90,7 +90,8 @@ impl Padded {
         let [channels, height, width] = [0, 1, 2].map(|i| input.dims()[i]);
         let [wide, plane] = shape.copied([height, width], kernel[1]);
         let mut values = vec![0.0; channels * plane];
-        for (row, from) in input.data().chunks_exact(width).enumerate() {
+        // An input without columns has none, and its padding may make outputs.
+        for (row, from) in input.data().chunks_exact(width.max(1)).enumerate() {
             let (channel, y) = (row / height, row % height);
             let at = channel * plane + (y + shape.padding) * wide + shape.padding;
             for (to, from) in values[at..at + width].iter_mut().zip(from) {

@@ -395,7 +395,7 @@ impl Sensor {
             mm.map(|mm| Scale { mm_per_pixel: (f64::from(mm) / times) as f32, from })
         };
         let Some(main) = self.frames().next() else {
-            let (gel, lens) = (Rect { x: 0, y: 0, width, height }, self.lens([0.0; 2], size, None));
+            let (gel, lens) = (Rect { x: 0, y: 0, width, height }, self.lens(size, None));
             return Ok(Sensed { gel, scale: scaled(self.mm_per_pixel, 1.0, Origin::Sensor), lens });
         };
         let of_shape: Vec<_> = self.frames().filter(|own| same_shape(size, own.frame)).collect();
@@ -408,7 +408,7 @@ impl Sensor {
                 false => Origin::Assumed,
             };
             let scale = scaled(own.mm_per_pixel, times[0], from);
-            let lens = self.lens([0.0; 2], size, Some(own));
+            let lens = self.lens(size, Some(own));
             return Ok(Sensed { gel: own.window().scaled(times, size), scale, lens });
         }
         let gel = main.window();
@@ -431,8 +431,8 @@ impl Sensor {
     }
 
     /// The lens in a frame of this size, which is `own`, scaled.
-    fn lens(&self, origin: [f64; 2], size: [u32; 2], own: Option<&SensorFrame>) -> Lens {
-        let lens = Lens::of(origin, size.map(f64::from), self.distortion);
+    fn lens(&self, size: [u32; 2], own: Option<&SensorFrame>) -> Lens {
+        let lens = Lens::of([0.0; 2], size.map(f64::from), self.distortion);
         // The distortion is stated in half diagonals of the frame that describes the sensor.
         let diagonal = |[w, h]: [u32; 2]| f64::from(w).hypot(f64::from(h));
         let main = self.frames().next();
@@ -444,7 +444,7 @@ impl Sensor {
         Lens { half_diagonal: (f64::from(lens.half_diagonal) * longer) as f32, ..lens }
     }
 
-    /// The part of this sensor's frames of size `other` that shows what a part of a frame of size `size` with
+    /// The part of this sensor's frames of size `other` that shows what this part of a frame with
     /// this gel does; `None` for what they do not show, and for a sensor without a size of its own.
     pub(crate) fn same_part(&self, gel: Rect, part: Rect, other: [u32; 2]) -> Option<Rect> {
         self.frame?;

@@ -55,9 +55,9 @@ pub(crate) struct Known<'a> {
 /// What a frame of this width and height shows: see the module.
 ///
 /// # Errors
-/// [`Error::Sensor`] for a frame that cannot be the sensor's; [`Error::Param`] for a scale, a gel or a crop
-/// that the frame cannot have; [`Error::Scale`] for a field outside [`FIELD_MM`], and for an assumed scale
-/// where none may be.
+/// [`Error::Sensor`] for a frame that cannot be the sensor's; [`Error::Param`] for a crop that the frame
+/// cannot have; [`Error::Scale`] for such a scale or gel, for a field outside [`FIELD_MM`], and for an assumed
+/// scale where none may be.
 pub(crate) fn view(frame: [u32; 2], known: Known) -> Result<View> {
     let [width, height] = frame;
     let all = Rect { x: 0, y: 0, width, height };

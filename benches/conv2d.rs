@@ -2,11 +2,11 @@
 //! the two is the figure that carries from machine to machine.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use smr_gpu::gpu::{Gpu, GpuOptions, ProgramOptions, Slot};
-use smr_gpu::graph::Graph;
-use smr_gpu::ops::case::random;
-use smr_gpu::ops::{Conv2d, Op};
-use smr_gpu::tensor::Value;
+use smr_gpu::engine::gpu::{Gpu, GpuOptions, ProgramOptions, Slot};
+use smr_gpu::engine::graph::Graph;
+use smr_gpu::engine::ops::case::random;
+use smr_gpu::engine::ops::{Conv2d, Op};
+use smr_gpu::engine::tensor::Value;
 
 /// Name, channels in, channels out, kernel side, dilation, side of the map.
 const SHAPES: [(&str, usize, usize, usize, usize, usize); 3] = [

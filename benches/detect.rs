@@ -3,7 +3,7 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use image::{DynamicImage, RgbImage};
-use smr_gpu::gpu::AdapterChoice;
+use smr_gpu::engine::gpu::AdapterChoice;
 use smr_gpu::{Config, Device, Frame, GpuDetector, Scene};
 
 /// Pictures that are given together.

@@ -25,9 +25,9 @@ use clap::Parser;
 use mutate::Mutant;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
-use smr_gpu::check::check_expected;
-use smr_gpu::gpu::{Gpu, GpuOptions};
-use smr_gpu::ops::{Case, Entry, Expected};
+use smr_gpu::engine::gpu::{Gpu, GpuOptions};
+use smr_gpu::engine::ops::{Case, Entry, Expected};
+use smr_gpu::verify::check::check_expected;
 use smr_gpu::{Config, Frame, GpuDetector};
 
 /// Longest run of one shader.

@@ -14,10 +14,10 @@ use std::error::Error;
 use std::path::PathBuf;
 
 use smr_gpu::Precision;
-use smr_gpu::kernels::{Caps, Kind};
-use smr_gpu::lower::Choice;
-use smr_gpu::model::{Network, Wanted, Weights};
-use smr_gpu::profile::{Cost, costs};
+use smr_gpu::engine::kernels::{Caps, Kind};
+use smr_gpu::engine::lower::Choice;
+use smr_gpu::smr::{Network, Wanted, Weights};
+use smr_gpu::verify::profile::{Cost, costs};
 
 /// A class of GPUs.
 struct Class {

@@ -23,8 +23,8 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use clap::Parser;
-use smr_gpu::coco::{Dataset, Picture};
-use smr_gpu::metrics::quantile;
+use smr_gpu::evaluation::coco::{Dataset, Picture};
+use smr_gpu::evaluation::metrics::quantile;
 use smr_gpu::{Config, Detections, Device, GpuDetector, Scene};
 
 use labelled::{Best, SCORE, best, center_mm, distance};
@@ -95,7 +95,7 @@ struct Look {
 impl Look {
     fn of(found: &Detections) -> Self {
         let ms = |time: std::time::Duration| time.as_secs_f64() * 1e3;
-        let stage = |t: &smr_gpu::graph::StageTime| (t.stage.clone(), ms(t.time));
+        let stage = |t: &smr_gpu::engine::graph::StageTime| (t.stage.clone(), ms(t.time));
         Self {
             ms: ms(found.wall),
             untouched: found.contact == Some(false),

@@ -13,7 +13,7 @@ mod shaders;
 use std::error::Error;
 use std::path::PathBuf;
 
-use smr_gpu::shader::reflect;
+use smr_gpu::engine::shader::reflect;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let folder = PathBuf::from(std::env::args_os().nth(1).ok_or("expected a folder's name")?);

@@ -1,7 +1,7 @@
 //! Frames of changing size and lost devices, for as long as one likes, with the memory that the process
 //! has: `cargo run --release --example soak -- FRAMES LOSSES`. It prints a line a tenth.
 
-use smr_gpu::gpu::{Call, Fault, Faults};
+use smr_gpu::engine::gpu::{Call, Fault, Faults};
 use smr_gpu::{Config, Device, Frame, GpuDetector, PixelFormat};
 
 /// Megabytes of memory that the process has, where Linux tells.

@@ -15,8 +15,8 @@ mod labelled;
 use std::error::Error;
 use std::path::Path;
 
-use smr_gpu::coco::Dataset;
-use smr_gpu::metrics::quantile;
+use smr_gpu::evaluation::coco::Dataset;
+use smr_gpu::evaluation::metrics::quantile;
 use smr_gpu::{Config, Detections, Device, Frame, GpuDetector, Scene};
 
 use labelled::{Best, SCORE, best, center_mm, distance};

@@ -16,7 +16,7 @@ use std::io::{BufRead, Write};
 use std::time::Instant;
 
 use safetensors::tensor::{Dtype, TensorView};
-use smr_gpu::tensor::Value;
+use smr_gpu::engine::tensor::Value;
 use smr_gpu::{Config, Device, Frame, GpuDetector, Scene, picture};
 
 /// What the fourth argument's file holds, of what the network has.

@@ -10,12 +10,12 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use smr_gpu::gpu::Gpu;
-use smr_gpu::kernels::{Caps, Kind};
-use smr_gpu::lower::{Choice, works};
-use smr_gpu::model::{Network, Wanted, Weights};
-use smr_gpu::shader::Replacement;
-use smr_gpu::tune::{Place, Tuned};
+use smr_gpu::engine::gpu::Gpu;
+use smr_gpu::engine::kernels::{Caps, Kind};
+use smr_gpu::engine::lower::{Choice, works};
+use smr_gpu::engine::shader::Replacement;
+use smr_gpu::smr::{Network, Wanted, Weights};
+use smr_gpu::verify::tune::{Place, Tuned};
 use smr_gpu::{Config, Device, Frame, GpuDetector, Precision};
 
 const LARGE: &str = "weights/smrnet.safetensors";
@@ -36,7 +36,7 @@ fn caps(sizes: [u32; 2], kind: Kind) -> Caps {
 /// The kernels of an operation that run the large network by default.
 fn kernels(network: &Network, op: &str, caps: &Caps) -> BTreeSet<&'static str> {
     let mut found = BTreeSet::new();
-    let each = |work: &smr_gpu::kernels::Work| {
+    let each = |work: &smr_gpu::engine::kernels::Work| {
         if work.op.name() == op {
             found.insert(Choice::default().kernel(work)?.id());
         }

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use serde_json::{Value, json};
-use smr_gpu::coco::{self, Dataset};
-use smr_gpu::metrics::{
+use smr_gpu::evaluation::coco::{self, Dataset};
+use smr_gpu::evaluation::metrics::{
     Areas, PictureBoxes, ScoredBox, average_precision, average_precision_50_95, coco_overlaps,
 };
 use smr_gpu::{Frame, Gel, PixelFormat, Rect, Scale};

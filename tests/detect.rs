@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::Deserialize;
-use smr_gpu::gpu::AdapterChoice;
-use smr_gpu::metrics::{box_iou, center};
+use smr_gpu::engine::gpu::AdapterChoice;
+use smr_gpu::evaluation::metrics::{box_iou, center};
 use smr_gpu::{
     Config, Detections, Device, Error, Frame, Gel, GpuDetector, PixelFormat, Rect, WeightSource,
 };

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::thread;
 
 use image::DynamicImage;
-use smr_gpu::gpu::{Gpu, GpuOptions};
+use smr_gpu::engine::gpu::{Gpu, GpuOptions};
 use smr_gpu::{Config, Detections, Device, GpuDetector};
 
 const THREADS: usize = 8;

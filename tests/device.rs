@@ -6,12 +6,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::task::{Context, Waker};
 use std::time::Duration;
 
-use smr_gpu::gpu::{AdapterChoice, Deadline, Gpu, GpuOptions, ProgramOptions, Slot, wgpu};
-use smr_gpu::graph::{Graph, TensorId};
-use smr_gpu::ops::case::random;
-use smr_gpu::ops::{Conv2d, MaxPool2d};
-use smr_gpu::shape::{Extent, TensorSpec};
-use smr_gpu::tensor::{Tensor, Value};
+use smr_gpu::engine::gpu::{AdapterChoice, Deadline, Gpu, GpuOptions, ProgramOptions, Slot, wgpu};
+use smr_gpu::engine::graph::{Graph, TensorId};
+use smr_gpu::engine::ops::case::random;
+use smr_gpu::engine::ops::{Conv2d, MaxPool2d};
+use smr_gpu::engine::shape::{Extent, TensorSpec};
+use smr_gpu::engine::tensor::{Tensor, Value};
 use smr_gpu::{Device, Error};
 
 fn open(change: impl FnOnce(&mut GpuOptions)) -> smr_gpu::Result<std::sync::Arc<Gpu>> {

@@ -4,14 +4,14 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use smr_gpu::gpu::{
+use smr_gpu::engine::gpu::{
     AdapterChoice, Call, Deadline, Fault, Faults, Gpu, GpuOptions, ProgramOptions, Slot,
 };
-use smr_gpu::graph::{Graph, TensorId};
-use smr_gpu::ops::case::random;
-use smr_gpu::ops::{Conv2d, MaxPool2d};
-use smr_gpu::shape::{Extent, TensorSpec};
-use smr_gpu::tensor::Value;
+use smr_gpu::engine::graph::{Graph, TensorId};
+use smr_gpu::engine::ops::case::random;
+use smr_gpu::engine::ops::{Conv2d, MaxPool2d};
+use smr_gpu::engine::shape::{Extent, TensorSpec};
+use smr_gpu::engine::tensor::Value;
 use smr_gpu::{Config, Detection, Device, Error, Frame, GpuDetector, PixelFormat, Scene};
 
 const WEIGHTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors");

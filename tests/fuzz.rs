@@ -63,7 +63,8 @@ fn every_operation_has_a_seed() {
         .expect("a corpus")
         .map(|entry| std::fs::read(entry.expect("an entry").path()).expect("a file")[0])
         .collect();
-    let without = smr_gpu::ops::OPS.iter().zip(0..).filter(|(_, place)| !seeds.contains(place));
+    let without =
+        smr_gpu::engine::ops::OPS.iter().zip(0..).filter(|(_, place)| !seeds.contains(place));
     assert_eq!(without.map(|(entry, _)| entry.name).collect::<Vec<_>>(), [""; 0]);
 }
 

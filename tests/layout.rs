@@ -7,9 +7,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use smr_gpu::Precision;
-use smr_gpu::kernels::{self, Caps};
-use smr_gpu::ops::OPS;
-use smr_gpu::shader::{BindingKind, reflect};
+use smr_gpu::engine::kernels::{self, Caps};
+use smr_gpu::engine::ops::OPS;
+use smr_gpu::engine::shader::{BindingKind, reflect};
 
 /// `wgpu::Limits::default()`: every WebGPU device has these.
 const WORKGROUP_BYTES: u32 = 16_384;
@@ -32,14 +32,14 @@ fn stems(folder: &str, extension: &str) -> BTreeSet<String> {
 fn every_operation_has_its_four_files() {
     let ops: BTreeSet<String> = OPS.iter().map(|entry| entry.name.to_owned()).collect();
     assert_eq!(ops.len(), OPS.len(), "two operations share a name");
-    for folder in ["src/cpu", "tests/ops"] {
+    for folder in ["src/engine/reference", "tests/ops"] {
         let mut found = stems(folder, "rs");
         found.remove("mod");
         assert_eq!(found, ops, "{folder}/*.rs (left) against OPS (right)");
     }
     // These folders also hold what the operations share. An operation with several kernels has a
     // folder of them.
-    for folder in ["src/ops", "src/kernels"] {
+    for folder in ["src/engine/ops", "src/engine/kernels"] {
         let mut sources = stems(folder, "rs");
         sources.extend(stems(folder, ""));
         let missing: Vec<_> = ops.difference(&sources).collect();
@@ -61,56 +61,130 @@ fn sources(folder: &Path) -> Vec<PathBuf> {
     each.flatten().filter(|path| path.extension().is_some_and(|e| e == "rs")).collect()
 }
 
-/// The first parts of the paths from this crate's root that code names.
-fn named(code: &str) -> BTreeSet<&str> {
-    let word = |text| str::split(text, |c: char| !c.is_alphanumeric() && c != '_').next();
-    let rests = ["crate::", "smr_gpu::"].into_iter().flat_map(|root| code.split(root).skip(1));
-    let each = rests.flat_map(|rest| match rest.strip_prefix('{') {
-        Some(list) => list.split('}').take(1).flat_map(|l| l.split(',')).map(str::trim).collect(),
-        None => vec![rest],
-    });
-    each.filter_map(word).filter(|name| !name.is_empty()).collect()
+/// A module's path below the crate's root, from its file's.
+fn module(file: &Path, src: &Path) -> Vec<String> {
+    let below = file.strip_prefix(src).expect("a path below").with_extension("");
+    let mut parts: Vec<String> =
+        below.iter().map(|part| part.to_string_lossy().into_owned()).collect();
+    parts.pop_if(|last| last == "mod" || last == "lib" || last == "main");
+    parts
 }
 
-/// What a module uses stands above it in the crate's table of modules, or in the same row; a device's crate is
-/// named where devices are.
-#[test]
-fn imports_run_one_way() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    let read = |path: &Path| std::fs::read_to_string(path).expect("a source");
-    let table = read(&folder.join("lib.rs"));
-    let rows = table.lines().filter_map(|line| line.strip_prefix("//! | [`"));
-    let rows = rows.filter_map(|row| row.split(" | ").next());
-    let modules = rows.enumerate().flat_map(|(at, row)| row.split(", ").map(move |m| (m, at)));
-    let mut places: BTreeMap<&str, usize> =
-        modules.map(|(name, at)| (name.trim_matches(&['[', '`', ']'][..]), at)).collect();
-    assert!(places["error"] < places["cpu"] && places["lower"] < places["gpu"], "{places:?}");
-    // What is too small for a row, and what stands below all: the program, and names at the root.
-    let root = usize::MAX;
-    places.extend(["cores", "lock", "milliseconds", "pixel_format", "rect"].map(|name| (name, 0)));
-    places.extend([("Error", 0), ("Result", 0), ("cli", root), ("main", root), ("lib", root)]);
-    let place = |name: &str| places.get(name).copied();
-    let mut failures = Vec::new();
-    for path in sources(&folder) {
-        let own = path.strip_prefix(&folder).expect("a path below").with_extension("");
-        let module = own.iter().next().expect("a module").to_string_lossy();
-        let Some(at) = place(&module) else {
-            failures.push(format!("{module} has no row in lib.rs"));
-            continue;
-        };
-        let text = read(&path);
-        // Tests may use what they like.
-        let code = text.split("#[cfg(test)]\nmod tests").next().unwrap_or_default();
-        let lines = code.lines().filter(|line| !line.trim_start().starts_with("//"));
-        let code = lines.collect::<Vec<_>>().join("\n");
-        let above = |name: &&str| place(name).unwrap_or(root) > at;
-        let wrong = named(&code).into_iter().filter(above);
-        failures.extend(wrong.map(|name| format!("{}: uses {name}", own.display())));
-        if code.contains("wgpu") && module != "gpu" {
-            failures.push(format!("{}: names wgpu", own.display()));
+/// What a module's code uses, as paths from the crate's root; `tests` may use what they like.
+fn uses(code: &str, own: &[String]) -> BTreeSet<Vec<String>> {
+    let code = code.split("#[cfg(test)]\nmod tests").next().unwrap_or_default();
+    let lines = code.lines().filter(|line| !line.trim_start().starts_with("//"));
+    let code = lines.collect::<Vec<_>>().join("\n");
+    let parent = own.split_last().map_or(&[][..], |(_, parent)| parent);
+    let mut found = BTreeSet::new();
+    let roots = [("crate::", &[][..]), ("smr_gpu::", &[]), ("super::", parent)];
+    for (root, base) in roots {
+        for rest in code.split(root).skip(1) {
+            collect(rest, base.to_vec(), &mut found);
         }
     }
+    found
+}
+
+/// The paths that begin with `base` and go on as `text` begins, those in braces each for itself. Returns what
+/// follows them.
+fn collect<'a>(text: &'a str, base: Vec<String>, into: &mut BTreeSet<Vec<String>>) -> &'a str {
+    let text = text.trim_start();
+    if let Some(mut rest) = text.strip_prefix('{') {
+        loop {
+            rest = collect(rest, base.clone(), into).trim_start();
+            match rest.strip_prefix(',') {
+                Some(more) => rest = more,
+                None => return rest.strip_prefix('}').unwrap_or(rest),
+            }
+        }
+    }
+    let end = text.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(text.len());
+    let (word, rest) = text.split_at(end);
+    let path: Vec<String> = match word {
+        "" => return rest,
+        "self" => base,
+        word => [base, vec![word.to_owned()]].concat(),
+    };
+    match rest.strip_prefix("::") {
+        Some(more) => collect(more, path, into),
+        None => {
+            into.insert(path);
+            rest
+        }
+    }
+}
+
+/// The modules of a table in a module's docs, each with its row.
+fn table(code: &str) -> BTreeMap<String, usize> {
+    let rows = code.lines().filter_map(|line| line.strip_prefix("//! | "));
+    let rows = rows.filter(|row| row.starts_with(['[', '`']));
+    let cells = rows.filter_map(|row| row.split(" | ").next());
+    let names = cells.enumerate().flat_map(|(at, row)| row.split(", ").map(move |m| (m, at)));
+    names.map(|(name, at)| (name.trim_matches(&['[', '`', ']'][..]).to_owned(), at)).collect()
+}
+
+/// What a module uses of its folder stands above it in the folder's table, or in the same row; so from the
+/// crate's root down to each file. A device's crate is named where devices are.
+#[test]
+fn imports_run_one_way() {
+    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let files = sources(&src);
+    let texts: BTreeMap<Vec<String>, String> = files
+        .iter()
+        .filter(|file| !file.ends_with("main.rs"))
+        .map(|file| (module(file, &src), std::fs::read_to_string(file).expect("a source")))
+        .collect();
+    let tables: BTreeMap<&[String], BTreeMap<String, usize>> =
+        texts.iter().map(|(path, text)| (&path[..], table(text))).collect();
+    let exported: BTreeMap<&[String], BTreeMap<String, String>> = texts
+        .iter()
+        .map(|(path, text)| {
+            let lines = text.split("pub use ").skip(1).chain(text.split("pub(crate) use ").skip(1));
+            let lines = lines.chain(text.split("pub(super) use ").skip(1));
+            let mut names = BTreeSet::new();
+            lines.for_each(|line| drop(collect(line, Vec::new(), &mut names)));
+            let pair = |path: Vec<String>| Some((path.last()?.clone(), path.first()?.clone()));
+            (&path[..], names.into_iter().filter_map(pair).collect())
+        })
+        .collect();
+    let mut failures = Vec::new();
+    for (own, text) in &texts {
+        for used in uses(text, own) {
+            for depth in 0..own.len() {
+                let folder = &own[..depth];
+                let (rows, names) = (&tables[folder], &exported[folder]);
+                if rows.is_empty() {
+                    break;
+                }
+                let Some(name) = used.get(depth) else { break };
+                let name = names.get(name).filter(|_| !rows.contains_key(name)).unwrap_or(name);
+                let Some(at) = rows.get(&own[depth]) else {
+                    failures.push(format!("{} has no row in its folder's table", own.join("/")));
+                    break;
+                };
+                // What has no row is the folder's own.
+                if rows.get(name).is_some_and(|row| row > at) {
+                    failures.push(format!("{}: uses {}", own.join("/"), used.join("::")));
+                }
+                if *name != own[depth] {
+                    break;
+                }
+            }
+        }
+        if text.contains("wgpu") && !own.starts_with(&["engine".into(), "gpu".into()]) {
+            let code = text.lines().filter(|line| !line.trim_start().starts_with("//"));
+            if code.collect::<Vec<_>>().join("\n").contains("wgpu") {
+                failures.push(format!("{}: names wgpu", own.join("/")));
+            }
+        }
+    }
+    failures.dedup();
     assert!(failures.is_empty(), "{}", failures.join("\n"));
+    // The table of the crate is the architecture: about ten rooms.
+    let rooms = &tables[&[][..]];
+    assert!(rooms["error"] < rooms["engine"] && rooms["engine"] < rooms["cli"], "{rooms:?}");
+    assert!(rooms.len() <= 12, "{} rooms", rooms.len());
 }
 
 /// A kernel is called as its operation, and its shaders lie where one looks for them.

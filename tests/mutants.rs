@@ -6,11 +6,11 @@ mod mutate;
 use std::sync::{Arc, OnceLock};
 
 use smr_gpu::Precision;
-use smr_gpu::check::{Selection, Target, check, check_expected, rows};
-use smr_gpu::gpu::{Gpu, GpuOptions};
-use smr_gpu::kernels::shaders;
-use smr_gpu::ops::{Case, Expected, find};
-use smr_gpu::shader::{Replacement, reflect, reflect_replaced};
+use smr_gpu::engine::gpu::{Gpu, GpuOptions};
+use smr_gpu::engine::kernels::shaders;
+use smr_gpu::engine::ops::{Case, Expected, find};
+use smr_gpu::engine::shader::{Replacement, reflect, reflect_replaced};
+use smr_gpu::verify::check::{Selection, Target, check, check_expected, rows};
 
 /// A device with bounds checks: what a fault reads or writes outside is defined.
 fn gpu() -> &'static Arc<Gpu> {

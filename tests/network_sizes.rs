@@ -6,11 +6,11 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use smr_gpu::Error;
-use smr_gpu::check::check_expected;
-use smr_gpu::model::{MOST_WORK, ModelConfig, Network, Wanted, Weights};
-use smr_gpu::ops::{Expected, OPS, Op};
-use smr_gpu::shape::TensorSpec;
-use smr_gpu::tensor::{Tensor, Value};
+use smr_gpu::engine::ops::{Expected, OPS, Op};
+use smr_gpu::engine::shape::TensorSpec;
+use smr_gpu::engine::tensor::{Tensor, Value};
+use smr_gpu::smr::{MOST_WORK, ModelConfig, Network, Wanted, Weights};
+use smr_gpu::verify::check::check_expected;
 use support::gpu;
 
 /// An operation at a size. Its parameters count where they change what is summed.

@@ -55,9 +55,9 @@ mod weighted_sum;
 /// Bounds checks may change no bit, so that what the tests find with them holds without.
 #[test]
 fn bounds_checks_change_no_bit() {
-    use smr_gpu::check::run_each;
-    use smr_gpu::gpu::{Gpu, GpuOptions};
-    use smr_gpu::ops::OPS;
+    use smr_gpu::engine::gpu::{Gpu, GpuOptions};
+    use smr_gpu::engine::ops::OPS;
+    use smr_gpu::verify::check::run_each;
     let options = GpuOptions { checked: true, ..GpuOptions::default() };
     let checked = pollster::block_on(Gpu::open(options)).expect("an adapter");
     let mut different = Vec::new();

@@ -177,7 +177,7 @@ fn nothing_that_is_read_is_replaced() {
     fs::copy(WEIGHTS, path("w.safetensors")).expect("copied");
     let setup =
         r#"{ "weights": "w.safetensors", "size": 32, "device": "cpu", "kernels": [], "batch": 1 }"#;
-    let digest = smr_gpu::tradeoff::digest(&fs::read(WEIGHTS).expect("the weights"));
+    let digest = smr_gpu::evaluation::tradeoff::digest(&fs::read(WEIGHTS).expect("the weights"));
     let table = format!(
         r#"{{ "place": null, "weights": [["w.safetensors", "{digest}"]], "pictures": 1, "stopped": false,
             "base": {setup}, "rows": [{{ "setup": {setup}, "wall_ms": {ONE}, "device_ms": null,

@@ -4,11 +4,11 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use smr_gpu::Error;
 use smr_gpu::Precision;
-use smr_gpu::graph::Graph;
-use smr_gpu::kernels::Caps;
-use smr_gpu::lower::{Choice, Request, lower};
-use smr_gpu::ops::{Case, Entry, OPS, Op, Params};
-use smr_gpu::tensor::Value;
+use smr_gpu::engine::graph::Graph;
+use smr_gpu::engine::kernels::Caps;
+use smr_gpu::engine::lower::{Choice, Request, lower};
+use smr_gpu::engine::ops::{Case, Entry, OPS, Op, Params};
+use smr_gpu::engine::tensor::Value;
 
 /// What every parameter is given in turn: the ends of u32 and u64, what is no whole number, no
 /// number, no finite number, nothing.

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use smr_gpu::detector::MOST_REUSED;
-use smr_gpu::gpu::AdapterChoice;
-use smr_gpu::metrics::box_iou;
+use smr_gpu::engine::gpu::AdapterChoice;
+use smr_gpu::evaluation::metrics::box_iou;
 use smr_gpu::{
     Config, Detections, Device, Frame, Gel, GpuDetector, PixelFormat, Precision, Rect, Scale,
     Scene, Sensor, picture,

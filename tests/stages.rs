@@ -6,16 +6,16 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use image::DynamicImage;
-use smr_gpu::comparison::relative_l2;
-use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions, ProgramOptions, Slot};
-use smr_gpu::host::HostPlan;
-use smr_gpu::lower::Choice;
-use smr_gpu::model::{ModelConfig, Network, Variant, Wanted, Weights};
-use smr_gpu::ops::Crop;
+use smr_gpu::engine::cpu::CpuPlan;
+use smr_gpu::engine::gpu::{AdapterChoice, Gpu, GpuOptions, ProgramOptions, Slot};
+use smr_gpu::engine::lower::Choice;
+use smr_gpu::engine::ops::Crop;
+use smr_gpu::engine::tensor::{Tensor, Value};
 use smr_gpu::simulator::dataset;
 use smr_gpu::simulator::render::{Renderer, Request};
 use smr_gpu::simulator::scene::Mix;
-use smr_gpu::tensor::{Tensor, Value};
+use smr_gpu::smr::{ModelConfig, Network, Variant, Wanted, Weights};
+use smr_gpu::verify::comparison::relative_l2;
 use smr_gpu::{Config, Device, Error, Frame, GpuDetector, Precision, Scene, WeightSource};
 
 /// The bound on each stage's relative L2 error on the pictures of these tests.
@@ -360,7 +360,7 @@ fn every_variant_matches_its_reference_and_pytorch() {
         let slot = Slot::of(support::gpu(), graph, &keep, options);
         let mut slot = pollster::block_on(slot).expect("a slot");
         let got = slot.run(&inputs).expect("a run").first();
-        let plan = HostPlan::new(graph, &keep, None).expect("a plan");
+        let plan = CpuPlan::new(graph, &keep, None).expect("a plan");
         let (host, _) = plan.run(graph, &inputs).expect("a run");
         for (name, rows) in [
             ("rpn.cls", None),

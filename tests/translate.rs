@@ -7,7 +7,7 @@ mod shaders;
 use naga::ShaderStage;
 use naga::back::{hlsl, msl, spv};
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
-use smr_gpu::shader::reflect;
+use smr_gpu::engine::shader::reflect;
 
 /// A shader as naga takes it, with nothing beyond what WebGPU has in its core, and subgroups.
 fn parse(text: &str) -> Result<(naga::Module, ModuleInfo), String> {

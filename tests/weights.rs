@@ -7,9 +7,9 @@ use std::path::Path;
 use safetensors::tensor::{Dtype, TensorView};
 use serde_json::{Value as Json, json};
 use smr_gpu::Error;
-use smr_gpu::gpu::{ProgramOptions, Slot};
-use smr_gpu::model::{MAX_FILE, ModelConfig, Network, Variant, Wanted, Weights};
-use smr_gpu::tensor::{Tensor, Value};
+use smr_gpu::engine::gpu::{ProgramOptions, Slot};
+use smr_gpu::engine::tensor::{Tensor, Value};
+use smr_gpu::smr::{MAX_FILE, ModelConfig, Network, Variant, Wanted, Weights};
 
 const CLASSES: usize = 2;
 const ANCHORS: usize = 6;

@@ -3,8 +3,8 @@
 use std::error::Error;
 use std::path::Path;
 
-use smr_gpu::coco::{self, Dataset, Label, Picture};
-use smr_gpu::metrics::{box_iou, center};
+use smr_gpu::evaluation::coco::{self, Dataset, Label, Picture};
+use smr_gpu::evaluation::metrics::{box_iou, center};
 use smr_gpu::{Detections, Frame, PixelFormat, picture};
 
 /// Scores above this count.

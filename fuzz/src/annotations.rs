@@ -2,7 +2,7 @@
 
 use std::path::Component;
 
-use smr_gpu::coco;
+use smr_gpu::evaluation::coco;
 
 /// Reads the bytes, and checks what the reader promises.
 pub fn run(data: &[u8]) {

@@ -1,6 +1,6 @@
 //! What `tune` keeps: any bytes end with a choice of kernels that is written as it is read, or with an error.
 
-use smr_gpu::tune::Tuned;
+use smr_gpu::verify::tune::Tuned;
 
 /// Reads the bytes.
 pub fn run(data: &[u8]) {

@@ -3,9 +3,9 @@
 
 use std::sync::OnceLock;
 
-use smr_gpu::ops::{Case, Entry, OPS, Op, Params};
-use smr_gpu::shape::{DType, TensorSpec};
-use smr_gpu::tensor::{Tensor, Value};
+use smr_gpu::engine::ops::{Case, Entry, OPS, Op, Params};
+use smr_gpu::engine::shape::{DType, TensorSpec};
+use smr_gpu::engine::tensor::{Tensor, Value};
 
 /// Most elements of a tensor, so that a run takes milliseconds.
 const MAX_ELEMENTS: usize = 4096;
@@ -143,7 +143,7 @@ fn resized(value: &Value, dims: Vec<usize>, dtype: DType) -> Value {
         Value::U32(t) => t.data().to_vec(),
     };
     let mut bits = old.iter().copied().cycle();
-    let shape = smr_gpu::shape::Shape(dims);
+    let shape = smr_gpu::engine::shape::Shape(dims);
     if shape.elements() > 4 * MAX_ELEMENTS {
         return value.clone();
     }

@@ -1,6 +1,6 @@
 //! Tables of `tradeoff`: any bytes end with a setup that keeps to its limit, or with an error.
 
-use smr_gpu::tradeoff::{Limit, Table};
+use smr_gpu::evaluation::tradeoff::{Limit, Table};
 
 /// Reads the bytes, and chooses from the table.
 pub fn run(data: &[u8]) {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use smr_gpu::model::{Network, Wanted, Weights};
+use smr_gpu::smr::{Network, Wanted, Weights};
 
 /// Reads the bytes and builds their network.
 pub fn run(data: &[u8]) {

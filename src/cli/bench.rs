@@ -54,7 +54,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let gpu = args.device.open(&args.network)?;
     config.device = Device::Reference;
     let runs = args.runs.into();
-    let roof = smr_gpu::profile::roof(&gpu, runs)?;
+    let roof = smr_gpu::verify::profile::roof(&gpu, runs)?;
     tell(format!(
         "{} ({}): {:.1} GMAC/s of multiply-adds, {:.1} GB/s of copies",
         gpu.info().name,

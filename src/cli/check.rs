@@ -1,7 +1,7 @@
 //! `smr-gpu check`: holds a device's operations to their references.
 
 use serde::Serialize;
-use smr_gpu::check::{Row, Selection, Target, rows};
+use smr_gpu::verify::check::{Row, Selection, Target, rows};
 use smr_gpu::{Device, Error, Precision};
 
 use super::detector::{DeviceArgs, open_gpu};

@@ -7,9 +7,9 @@ use std::time::Instant;
 use image::DynamicImage;
 use serde::Serialize;
 use smr_gpu::detector::Stages;
+use smr_gpu::engine::graph::StageTime;
+use smr_gpu::evaluation::tradeoff::Limit;
 use smr_gpu::files::Outputs;
-use smr_gpu::graph::StageTime;
-use smr_gpu::tradeoff::Limit;
 use smr_gpu::{Detection, Detections, Frame, GpuDetector, Origin, Precision, Rect, Scale};
 
 use super::detector::{self, Assumed, DetectorArgs, exact_fraction, fraction};

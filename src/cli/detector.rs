@@ -6,9 +6,9 @@ use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 
+use smr_gpu::engine::gpu::{AdapterChoice, Gpu, GpuOptions};
 use smr_gpu::files::Outputs;
-use smr_gpu::gpu::{AdapterChoice, Gpu, GpuOptions};
-use smr_gpu::model::ModelConfig;
+use smr_gpu::smr::ModelConfig;
 use smr_gpu::{
     Config, Detections, Device, Error, Gel, GpuDetector, Origin, Precision, Scale, Scene, Sensor,
     WeightSource,

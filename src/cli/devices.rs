@@ -1,7 +1,7 @@
 //! `smr-gpu devices`: the adapters, with the limits that matter here.
 
 use serde::{Deserialize, Serialize};
-use smr_gpu::gpu::{AdapterReport, adapters};
+use smr_gpu::engine::gpu::{AdapterReport, adapters};
 
 use super::exit::{Exit, Failure};
 use super::output::{json_line, line};

@@ -4,10 +4,10 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use smr_gpu::check::run_op;
+use smr_gpu::engine::ops::{self, Entry, Op, Param, Params};
+use smr_gpu::engine::tensor::Value;
 use smr_gpu::files::Outputs;
-use smr_gpu::ops::{self, Entry, Op, Param, Params};
-use smr_gpu::tensor::Value;
+use smr_gpu::verify::check::run_op;
 use smr_gpu::{Device, Error};
 
 use super::detector::{DeviceArgs, open_gpu};

@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use safetensors::{Dtype, SafeTensors, View};
+use smr_gpu::engine::shape::{DType, Shape, TensorSpec};
+use smr_gpu::engine::tensor::{Tensor, Value};
 use smr_gpu::files::{self, Outputs};
-use smr_gpu::shape::{DType, Shape, TensorSpec};
-use smr_gpu::tensor::{Tensor, Value};
 
 use super::exit::{Exit, Failure};
 

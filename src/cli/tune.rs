@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use smr_gpu::files::Outputs;
-use smr_gpu::tune::{Place, Tuned};
+use smr_gpu::verify::tune::{Place, Tuned};
 use smr_gpu::{Device, GpuDetector, Scene};
 
 use super::detector::{AdapterArgs, NetworkArgs};

@@ -6,14 +6,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::detector::Scene;
+use crate::engine::gpu::{AdapterChoice, Faults, GpuOptions};
+use crate::engine::lower::Choice;
+use crate::engine::precision::Precision;
 use crate::error::{Error, Result};
-use crate::frame::Frame;
-use crate::gpu::{AdapterChoice, Faults, GpuOptions};
-use crate::lower::Choice;
-use crate::model::{ModelConfig, Wanted};
-use crate::precision::Precision;
-use crate::scale::Gel;
 use crate::sensor::Sensor;
+use crate::sensor::frame::Frame;
+use crate::sensor::scale::Gel;
+use crate::smr::{ModelConfig, Wanted};
 
 #[cfg(doc)]
 use crate::detector::{Detections, GpuDetector};
@@ -116,7 +116,7 @@ pub struct Config {
     pub weights: WeightSource,
     /// What runs the network.
     pub device: Device,
-    /// The sensor that takes the pictures; `None` if nobody knows: see [`crate::scale`].
+    /// The sensor that takes the pictures; `None` if nobody knows: see [`crate::sensor::scale`].
     pub sensor: Option<Sensor>,
     /// Millimetres of gel for a pixel of the frames that come, whatever their size; `None` for what the
     /// sensor says. Which part of a frame is gel is a question of its own.
@@ -166,7 +166,7 @@ pub struct Config {
     pub precision: Precision,
     /// Which kernels run on a GPU; what it does not name is chosen by the adapter's kind.
     pub choice: Choice,
-    /// Folder in which to look for the choice that [`crate::tune`] measured on the adapter; it counts
+    /// Folder in which to look for the choice that [`crate::verify::tune`] measured on the adapter; it counts
     /// where `choice` names nothing.
     pub choices: Option<PathBuf>,
     /// Let wgpu check the shaders' bounds (slower; see [`GpuOptions::checked`]).

@@ -2,23 +2,23 @@
 
 use std::sync::Arc;
 
-use crate::cpu::{ContactRule, Crop, contact, crop_resize};
 use crate::detector::Config;
 use crate::detector::input::Input;
 use crate::detector::pool::Pool;
 use crate::detector::runner::{Given, On, Runner};
-use crate::detector::view::View;
+use crate::engine::gpu::Deadline;
+use crate::engine::graph::{Graph, StageTime, TensorId};
+use crate::engine::lower::Choice;
+use crate::engine::ops::{Contact, CropResize};
+use crate::engine::precision::Precision;
+use crate::engine::reference::{ContactRule, Crop, contact, crop_resize};
+use crate::engine::shape::{Extent, TensorSpec};
+use crate::engine::tensor::{Tensor, Value};
 use crate::error::Result;
-use crate::frame::Frame;
-use crate::gpu::Deadline;
-use crate::graph::{Graph, StageTime, TensorId};
-use crate::lower::Choice;
-use crate::model::MAX_PIXELS;
-use crate::ops::{Contact, CropResize};
-use crate::precision::Precision;
-use crate::rect::Rect;
-use crate::shape::{Extent, TensorSpec};
-use crate::tensor::{Tensor, Value};
+use crate::sensor::frame::Frame;
+use crate::sensor::rect::Rect;
+use crate::sensor::view::View;
+use crate::smr::MAX_PIXELS;
 
 /// Side of a cell in millimetres.
 const CELL_MM: f64 = 0.5;
@@ -315,7 +315,7 @@ mod tests {
             gel,
             gel_assumed: false,
             part: Rect { x: 30, y: 40, width, height },
-            scale: crate::scale::Scale::stated(mm),
+            scale: crate::sensor::scale::Scale::stated(mm),
             lens: crate::sensor::Lens::of([0.0; 2], [600.0; 2], 0.0),
         }
     }

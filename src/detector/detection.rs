@@ -2,17 +2,17 @@
 
 use std::time::Duration;
 
-use crate::comparison::{ChoiceComparison, Shift, StageComparison, larger};
-use crate::detector::view;
-use crate::graph::StageTime;
-use crate::precision::Precision;
-use crate::rect::Rect;
-use crate::scale::Scale;
+use crate::engine::graph::StageTime;
+use crate::engine::precision::Precision;
+use crate::sensor::rect::Rect;
+use crate::sensor::scale::Scale;
+use crate::sensor::view;
+use crate::verify::comparison::{ChoiceComparison, Shift, StageComparison, larger};
 
 #[cfg(doc)]
 use crate::detector::{Config, Scene};
 #[cfg(doc)]
-use crate::model::ModelConfig;
+use crate::smr::ModelConfig;
 
 /// One snap in a picture.
 #[derive(Clone, Debug, PartialEq)]
@@ -88,7 +88,7 @@ pub struct Detections {
     /// Time by stage on the device; empty where it has no timestamps.
     pub stages: Vec<StageTime>,
     /// Time from picture to detections; serialised as `wall_ms`.
-    #[cfg_attr(feature = "serde", serde(rename = "wall_ms", with = "crate::milliseconds"))]
+    #[cfg_attr(feature = "serde", serde(rename = "wall_ms", with = "crate::engine::milliseconds"))]
     pub wall: Duration,
 }
 
@@ -153,7 +153,7 @@ impl Comparison {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::comparison::TensorComparison;
+    use crate::verify::comparison::TensorComparison;
 
     #[test]
     fn a_figure_that_is_no_number_is_the_largest() {

@@ -1,14 +1,14 @@
 //! The network for one size of input, and what runs it.
 
-use crate::comparison::{How, Values};
 use crate::detector::Config;
 use crate::detector::runner::{Given, On, Runner};
+use crate::engine::gpu::{Deadline, Gpu, Inputs};
+use crate::engine::graph::{StageTime, TensorId};
+use crate::engine::lower::Choice;
 use crate::error::Result;
-use crate::gpu::{Deadline, Gpu, Inputs};
-use crate::graph::{StageTime, TensorId};
-use crate::lower::Choice;
-use crate::model::Network;
-use crate::tune::{Place, Tuned};
+use crate::smr::Network;
+use crate::verify::comparison::{How, Values};
+use crate::verify::tune::{Place, Tuned};
 
 /// A network and what runs it.
 pub(super) struct Engine {

@@ -7,13 +7,13 @@ use crate::detector::engine::{self, Engine};
 use crate::detector::pool::Pool;
 use crate::detector::runner::On;
 use crate::detector::{Config, Device, Scene, WeightSource};
+use crate::engine::gpu::{AdapterChoice, Gpu, GpuOptions};
+use crate::engine::kernels;
+use crate::engine::lock::lock;
+use crate::engine::lower::Choice;
+use crate::engine::precision::Precision;
 use crate::error::{Error, Result};
-use crate::gpu::{AdapterChoice, Gpu, GpuOptions};
-use crate::kernels;
-use crate::lock::lock;
-use crate::lower::Choice;
-use crate::model::{ModelConfig, Network, Wanted, Weights};
-use crate::precision::Precision;
+use crate::smr::{ModelConfig, Network, Wanted, Weights};
 
 /// Sizes that are kept ready, parts of pictures among them; of one more, the one that was not used for
 /// longest goes.

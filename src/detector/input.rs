@@ -2,18 +2,18 @@
 
 use std::time::{Duration, Instant};
 
-use crate::comparison::Values;
-use crate::cpu::Crop;
 use crate::detector::regions::{self, Found, Window};
-use crate::detector::view::View;
 use crate::detector::{Detection, Detections};
+use crate::engine::graph::{StageTime, TensorId};
+use crate::engine::precision::Precision;
+use crate::engine::reference::Crop;
+use crate::engine::tensor::{Tensor, Value};
 use crate::error::{Error, Result};
-use crate::frame::Frame;
-use crate::graph::{StageTime, TensorId};
-use crate::model::{ModelConfig, Network};
-use crate::precision::Precision;
-use crate::rect::Rect;
-use crate::tensor::{Tensor, Value};
+use crate::sensor::frame::Frame;
+use crate::sensor::rect::Rect;
+use crate::sensor::view::View;
+use crate::smr::{ModelConfig, Network};
+use crate::verify::comparison::Values;
 
 /// Deviations hold where the input is at the scale that they were fitted at, within this share.
 const SAME_SCALE: f64 = 0.05;
@@ -313,12 +313,12 @@ mod tests {
     use std::sync::LazyLock;
 
     use super::*;
-    use crate::cpu::crop_resize;
-    use crate::model::{Wanted, Weights};
-    use crate::pixel_format::PixelFormat;
-    use crate::scale::Scale;
+    use crate::engine::reference::crop_resize;
+    use crate::engine::tensor::Tensor;
     use crate::sensor::Lens;
-    use crate::tensor::Tensor;
+    use crate::sensor::pixel_format::PixelFormat;
+    use crate::sensor::scale::Scale;
+    use crate::smr::{Wanted, Weights};
 
     /// A frame of 640 × 400 pixels whose gel's middle is at (300, 190), of which 300 × 200 at (120, 60) are
     /// seen.
@@ -355,7 +355,7 @@ mod tests {
     fn values(network: &Network, found: &[([f32; 4], u32, [f32; 5])]) -> Values {
         let n = found.len();
         let floats = |shape: &[usize], data: Vec<f32>| -> Value {
-            Tensor::new(crate::shape::Shape(shape.to_vec()), data).expect("a tensor").into()
+            Tensor::new(crate::engine::shape::Shape(shape.to_vec()), data).expect("a tensor").into()
         };
         let integers =
             |data: Vec<u32>| -> Value { Tensor::new([data.len()], data).expect("a tensor").into() };

@@ -5,10 +5,10 @@ use crate::detector::input::{Answer, Input};
 use crate::detector::regions::{self, Window};
 use crate::detector::runner::Given;
 use crate::detector::{Config, Detections, Scene, contact};
+use crate::engine::gpu::Deadline;
+use crate::engine::graph::StageTime;
+use crate::engine::precision::Precision;
 use crate::error::{Error, Result};
-use crate::gpu::Deadline;
-use crate::graph::StageTime;
-use crate::precision::Precision;
 
 /// A picture, and which parts of it are to be looked at.
 pub(super) struct Sight<'a> {

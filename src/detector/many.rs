@@ -7,7 +7,7 @@ use std::task::{Context, Poll, Waker};
 
 use crate::detector::{Detections, GpuDetector};
 use crate::error::Result;
-use crate::frame::Frame;
+use crate::sensor::frame::Frame;
 
 type Look<'a> = Pin<Box<dyn Future<Output = Vec<Result<Detections>>> + Send + 'a>>;
 

@@ -29,28 +29,28 @@ mod regions;
 mod runner;
 mod scene;
 mod stream;
-mod view;
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
-use crate::comparison::{self, StageComparison, Values};
+use crate::engine::gpu::{Deadline, Gpu};
+use crate::engine::graph::{StageTime, TensorId};
+use crate::engine::lock::lock;
+use crate::engine::lower::Choice;
+use crate::engine::precision::Precision;
+use crate::engine::tensor::Value;
 use crate::error::{Error, Result};
-use crate::frame::Frame;
-use crate::gpu::{Deadline, Gpu};
-use crate::graph::{StageTime, TensorId};
-use crate::lock::lock;
-use crate::lower::Choice;
-use crate::model::ModelConfig;
-use crate::pixel_format::PixelFormat;
-use crate::precision::Precision;
-use crate::profile::{self, CommandTime};
-use crate::scale::Scale;
-use crate::tensor::Value;
-use crate::tune::{self, Tuned};
+use crate::sensor::frame::Frame;
+use crate::sensor::pixel_format::PixelFormat;
+use crate::sensor::scale::Scale;
+use crate::smr::ModelConfig;
+use crate::verify::comparison::{self, StageComparison, Values};
+use crate::verify::profile::{self, CommandTime};
+use crate::verify::tune::{self, Tuned};
 
+use crate::sensor::view::{self, Known, View};
 pub use config::{Config, Device, WeightSource};
 pub use detection::{Comparison, Detection, Detections};
 use engine::Engine;
@@ -59,7 +59,6 @@ use input::{Geometry, Input};
 use look::Sight;
 pub use scene::Scene;
 pub use stream::{MOST_REUSED, Stream};
-use view::{Known, View};
 
 /// Tensors of every stage, by the PyTorch reference's names.
 pub type Stages = Vec<(String, Value)>;
@@ -236,7 +235,7 @@ impl GpuDetector {
         self.engines().remarks.clone()
     }
 
-    /// Measures which kernels are fastest on `gpu` for this network: see [`crate::tune`]. The detector
+    /// Measures which kernels are fastest on `gpu` for this network: see [`crate::verify::tune`]. The detector
     /// must hold its weights: one with [`Device::Reference`] does.
     ///
     /// # Errors
@@ -254,7 +253,7 @@ impl GpuDetector {
         tune::tune(gpu, &engine.network.graph, &inputs, self.config.precision, limit, progress)
     }
 
-    /// Times every command of this network on `gpu`: see [`crate::profile`]. The detector must hold its
+    /// Times every command of this network on `gpu`: see [`crate::verify::profile`]. The detector must hold its
     /// weights: one with [`Device::Reference`] does. `remark` hears what [`GpuDetector::remarks`] would tell of
     /// one on `gpu`.
     ///
@@ -300,7 +299,7 @@ impl GpuDetector {
         self.detect_frame(&Frame::from(picture))
     }
 
-    /// Finds the snaps in a picture in memory. [`crate::scale`] says which part of it is taken for gel, and at
+    /// Finds the snaps in a picture in memory. [`crate::sensor::scale`] says which part of it is taken for gel, and at
     /// which scale. Of a frame whose scale nobody states the middle 60 mm at most along the longer side are
     /// seen, and [`Detections::assumption`] says what was assumed.
     ///
@@ -483,7 +482,7 @@ impl GpuDetector {
     }
 
     /// Looks at a picture on the device and with the f64 reference, and compares every operation and
-    /// what comes out: see [`crate::comparison`]. Needs `Config::keep_stages`.
+    /// what comes out: see [`crate::verify::comparison`]. Needs `Config::keep_stages`.
     ///
     /// # Errors
     /// As [`GpuDetector::detect_frame`]; [`Error::Param`] without `keep_stages` or a GPU;
@@ -620,7 +619,7 @@ impl GpuDetector {
 mod tests {
     use super::*;
     #[cfg(feature = "serde")]
-    use crate::{rect::Rect, scale::Origin};
+    use crate::{sensor::rect::Rect, sensor::scale::Origin};
     #[cfg(feature = "serde")]
     use std::time::Duration;
 

@@ -4,9 +4,11 @@ use std::future::poll_fn;
 use std::sync::{Arc, Mutex};
 use std::task::{Context, Poll, Waker};
 
+use crate::engine::gpu::{
+    Alarm, Arena, Deadline, Gpu, Inputs, Program, RunOutput, Slot, add_waker,
+};
+use crate::engine::lock::lock;
 use crate::error::Result;
-use crate::gpu::{Alarm, Arena, Deadline, Gpu, Inputs, Program, RunOutput, Slot, add_waker};
-use crate::lock::lock;
 
 /// Arenas, handed out one at a time.
 pub(super) struct Pool {

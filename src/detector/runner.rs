@@ -6,18 +6,18 @@ use std::sync::{Condvar, Mutex, PoisonError};
 #[cfg(feature = "cpu")]
 use std::time::Duration;
 
-use crate::comparison::{How, Values};
 use crate::detector::pool::{Pool, Slots};
 use crate::detector::{Config, Device};
+#[cfg(feature = "cpu")]
+use crate::engine::cpu::{self, CpuPlan};
+use crate::engine::gpu::{Deadline, Inputs, Program, ProgramOptions};
+use crate::engine::graph::{Graph, StageTime, TensorId};
+#[cfg(feature = "cpu")]
+use crate::engine::lock::lock;
+use crate::engine::lower::{Choice, Request, lower};
+use crate::engine::precision::Precision;
 use crate::error::Result;
-use crate::gpu::{Deadline, Inputs, Program, ProgramOptions};
-use crate::graph::{Graph, StageTime, TensorId};
-#[cfg(feature = "cpu")]
-use crate::host::{self, HostPlan};
-#[cfg(feature = "cpu")]
-use crate::lock::lock;
-use crate::lower::{Choice, Request, lower};
-use crate::precision::Precision;
+use crate::verify::comparison::{How, Values};
 
 /// The GPU on which a graph is to run.
 #[derive(Clone, Copy)]
@@ -42,7 +42,7 @@ pub(super) struct Given<'a> {
 pub(super) enum Runner {
     Gpu(Slots),
     #[cfg(feature = "cpu")]
-    Host(Box<HostPlan>, Turns),
+    Host(Box<CpuPlan>, Turns),
     Reference,
 }
 
@@ -118,7 +118,7 @@ impl Runner {
                     Some(Self::Host(plan, _)) => Some(&**plan),
                     _ => None,
                 };
-                let plan = HostPlan::new(graph, keep, like)?;
+                let plan = CpuPlan::new(graph, keep, like)?;
                 Self::Host(Box::new(plan), Turns::new(config.in_flight))
             }
             #[cfg(not(feature = "cpu"))]
@@ -165,7 +165,7 @@ impl Runner {
             Self::Host(plan, turns) => one_by_one(pictures, |given| {
                 let deadline = deadline.of_run();
                 let _turn = turns.take(deadline)?;
-                let given = host::Given { tensors: given.inputs, picture: given.picture };
+                let given = cpu::Given { tensors: given.inputs, picture: given.picture };
                 plan.run_while(graph, given, &|stage| match deadline.is_over() {
                     true => Err(deadline.error(&format!("the network, at stage `{stage}`"))),
                     false => Ok(()),

@@ -2,8 +2,8 @@
 
 use crate::detector::Detections;
 use crate::error::{Error, Result};
-use crate::model::Wanted;
-use crate::rect::Rect;
+use crate::sensor::rect::Rect;
+use crate::smr::Wanted;
 
 /// Height and width of the paper's input.
 const PAPER: [usize; 2] = [320; 2];

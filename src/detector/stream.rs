@@ -4,12 +4,12 @@ use crate::detector::contact;
 use crate::detector::engines::Engines;
 use crate::detector::input::Input;
 use crate::detector::look::Sight;
-use crate::detector::view::View;
 use crate::detector::{Detections, GpuDetector};
+use crate::engine::gpu::Deadline;
+use crate::engine::tensor::{Tensor, Value};
 use crate::error::Result;
-use crate::frame::Frame;
-use crate::gpu::Deadline;
-use crate::tensor::{Tensor, Value};
+use crate::sensor::frame::Frame;
+use crate::sensor::view::View;
 
 /// How often in a row a frame's detections may be kept.
 pub const MOST_REUSED: u32 = 20;

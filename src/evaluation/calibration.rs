@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::{LEAST_SCORE, RIGHT_IOU, Right, Seen};
-use crate::metrics::PictureBoxes;
+use crate::evaluation::metrics::PictureBoxes;
 
 /// Bins of equal width between the scores 0 and 1.
 const BINS: usize = 10;
@@ -123,7 +123,7 @@ mod tests {
     use super::super::Found;
     use super::super::tests::{found, seen, snap};
     use super::*;
-    use crate::coco::Attribute;
+    use crate::evaluation::coco::Attribute;
 
     #[test]
     fn expected_calibration_error_by_hand() {

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::{Figures, Seen, Snap, figures};
-use crate::coco::Attribute;
+use crate::evaluation::coco::Attribute;
 
 /// Figures of the pictures, or of the snaps, that share something.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -7,13 +7,16 @@
 //! snaps of a picture share its conditions.
 
 mod calibration;
+pub mod coco;
 mod condition;
+pub mod metrics;
 mod resample;
+pub mod tradeoff;
 
 use serde::Serialize;
 
-use crate::coco::{Attribute, Attributes};
-use crate::metrics::{
+use crate::evaluation::coco::{Attribute, Attributes};
+use crate::evaluation::metrics::{
     Areas, PictureBoxes, Ranking, ScoredBox, Truth, average_precision_50_95, center,
 };
 

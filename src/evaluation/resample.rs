@@ -40,7 +40,7 @@ impl Ordered {
         self.0.len()
     }
 
-    /// [`quantile`](crate::metrics::quantile) of the values, each as often as its picture counts.
+    /// [`quantile`](crate::evaluation::metrics::quantile) of the values, each as often as its picture counts.
     pub fn quantile(&self, counts: &Counts, q: f64) -> Option<f64> {
         let n: usize = self.0.iter().map(|(i, _)| counts.of(*i)).sum();
         let at = q.clamp(0.0, 1.0) * n.checked_sub(1)? as f64;
@@ -97,7 +97,7 @@ fn next(state: &mut u64) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metrics::quantile;
+    use crate::evaluation::metrics::quantile;
 
     #[test]
     fn quantiles_and_means_count_repetitions() {

@@ -28,7 +28,7 @@ use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageError};
 
 use crate::files;
-use crate::model::MAX_PIXELS;
+use crate::smr::MAX_PIXELS;
 pub use jpeg::MAX_SCANS;
 
 /// Most bytes of a picture as it is stored: [`MAX_PIXELS`] of four channels of 16 bits, and 64 MiB.

@@ -37,8 +37,8 @@ use super::scene::Mix;
 use super::snaps::Kind;
 use super::{Error, on_threads};
 use crate::files;
-use crate::rect::Rect;
 use crate::sensor::Sensor;
+use crate::sensor::rect::Rect;
 
 /// Least number of pictures that a worker takes, to make its plans and buffers rarely.
 const CHUNK: usize = 8;

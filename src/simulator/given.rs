@@ -14,10 +14,10 @@ use super::frame::{Frame, SIDE_PX};
 use super::label::PixelBox;
 use super::look::{Flat, Housing, Light, Look};
 use super::optics::{Channel, Shading};
-use crate::model::PAPER_MM;
 use crate::picture;
-use crate::rect::Rect;
+use crate::sensor::rect::Rect;
 use crate::sensor::{Sensed, Sensor};
+use crate::smr::PAPER_MM;
 
 /// Levels of a housing that nothing shows.
 const DARK: f32 = 8.0;

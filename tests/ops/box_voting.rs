@@ -1,6 +1,6 @@
 use crate::support::{check_op, refusal};
-use smr_gpu::ops::BoxVoting;
-use smr_gpu::shape::{Shape, TensorSpec};
+use smr_gpu::engine::ops::BoxVoting;
+use smr_gpu::engine::shape::{Shape, TensorSpec};
 
 #[test]
 fn shader_matches_reference_and_hand() {

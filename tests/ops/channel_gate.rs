@@ -1,7 +1,7 @@
 use crate::support::recording_error;
 use crate::support::{check_op, refusal};
-use smr_gpu::ops::ChannelGate;
-use smr_gpu::shape::TensorSpec;
+use smr_gpu::engine::ops::ChannelGate;
+use smr_gpu::engine::shape::TensorSpec;
 
 #[test]
 fn shader_matches_reference_and_hand() {

@@ -1,6 +1,6 @@
 use crate::support::{check_op, refusal};
-use smr_gpu::ops::Contact;
-use smr_gpu::shape::TensorSpec;
+use smr_gpu::engine::ops::Contact;
+use smr_gpu::engine::shape::TensorSpec;
 
 const OWN: Contact = Contact { least: 0.0625, most: 0.25, clipped: 250.0, reference: false };
 

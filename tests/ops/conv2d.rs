@@ -1,7 +1,7 @@
 use crate::support::check_op;
-use smr_gpu::ops::{Conv2d, Op};
-use smr_gpu::shape::TensorSpec;
-use smr_gpu::tensor::Tensor;
+use smr_gpu::engine::ops::{Conv2d, Op};
+use smr_gpu::engine::shape::TensorSpec;
+use smr_gpu::engine::tensor::Tensor;
 
 #[test]
 fn shader_matches_reference_and_hand() {

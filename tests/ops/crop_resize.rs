@@ -1,10 +1,10 @@
 use crate::support::{check_op, gpu, refusal};
 use smr_gpu::PixelFormat;
-use smr_gpu::check::run_op;
-use smr_gpu::cpu::Crop;
-use smr_gpu::ops::{CropResize, Op, Params, find};
-use smr_gpu::shape::TensorSpec;
-use smr_gpu::tensor::Tensor;
+use smr_gpu::engine::ops::{CropResize, Op, Params, find};
+use smr_gpu::engine::reference::Crop;
+use smr_gpu::engine::shape::TensorSpec;
+use smr_gpu::engine::tensor::Tensor;
+use smr_gpu::verify::check::run_op;
 
 #[test]
 fn shader_matches_reference_and_hand() {

@@ -1,9 +1,9 @@
 use crate::support::{self, check_op};
-use smr_gpu::gpu::{ProgramOptions, Slot};
-use smr_gpu::graph::Graph;
-use smr_gpu::ops::{IndirectGrid, Linear, Op, Softmax};
-use smr_gpu::shape::{Extent, TensorSpec};
-use smr_gpu::tensor::{Tensor, Value};
+use smr_gpu::engine::gpu::{ProgramOptions, Slot};
+use smr_gpu::engine::graph::Graph;
+use smr_gpu::engine::ops::{IndirectGrid, Linear, Op, Softmax};
+use smr_gpu::engine::shape::{Extent, TensorSpec};
+use smr_gpu::engine::tensor::{Tensor, Value};
 
 #[test]
 fn shader_matches_reference_and_hand() {

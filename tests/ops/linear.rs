@@ -1,6 +1,6 @@
 use crate::support::{check_op, recording_error, refusal};
-use smr_gpu::ops::{Linear, Op};
-use smr_gpu::shape::TensorSpec;
+use smr_gpu::engine::ops::{Linear, Op};
+use smr_gpu::engine::shape::TensorSpec;
 
 #[test]
 fn shader_matches_reference_and_hand() {
@@ -11,7 +11,7 @@ fn shader_matches_reference_and_hand() {
 fn refuses_what_does_not_fit() {
     let op = Linear { relu: false, count: true };
     let specs = |input: &[usize], bias: usize, count: usize| {
-        let input = smr_gpu::shape::Shape(input.to_vec());
+        let input = smr_gpu::engine::shape::Shape(input.to_vec());
         let weight = TensorSpec::f32([2, 6]);
         [TensorSpec::f32(input), weight, TensorSpec::f32([bias]), TensorSpec::u32([count])]
     };

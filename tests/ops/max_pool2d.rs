@@ -1,9 +1,9 @@
 use crate::support::{check_op, refusal};
 use smr_gpu::Precision;
-use smr_gpu::kernels::{Caps, Work};
-use smr_gpu::lower::Choice;
-use smr_gpu::ops::{MaxPool2d, Op};
-use smr_gpu::shape::TensorSpec;
+use smr_gpu::engine::kernels::{Caps, Work};
+use smr_gpu::engine::lower::Choice;
+use smr_gpu::engine::ops::{MaxPool2d, Op};
+use smr_gpu::engine::shape::TensorSpec;
 
 #[test]
 fn shader_matches_reference_and_hand() {

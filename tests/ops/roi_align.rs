@@ -1,6 +1,6 @@
 use crate::support::check_op;
-use smr_gpu::ops::{Op, RoiAlign};
-use smr_gpu::shape::TensorSpec;
+use smr_gpu::engine::ops::{Op, RoiAlign};
+use smr_gpu::engine::shape::TensorSpec;
 
 #[test]
 fn shader_matches_reference_and_hand() {

@@ -1,6 +1,6 @@
 use crate::support::{check_op, refusal};
-use smr_gpu::ops::WeightedSum;
-use smr_gpu::shape::TensorSpec;
+use smr_gpu::engine::ops::WeightedSum;
+use smr_gpu::engine::shape::TensorSpec;
 
 #[test]
 fn shader_matches_reference_and_hand() {

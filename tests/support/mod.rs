@@ -3,13 +3,13 @@
 use std::sync::{Arc, OnceLock};
 
 use smr_gpu::Precision;
-use smr_gpu::check::{Selection, Target, rows};
-use smr_gpu::gpu::{Gpu, GpuOptions};
-use smr_gpu::graph::Graph;
-use smr_gpu::kernels::Caps;
-use smr_gpu::lower::{Choice, Request, lower};
-use smr_gpu::ops::{self, Op};
-use smr_gpu::shape::{Extent, TensorSpec};
+use smr_gpu::engine::gpu::{Gpu, GpuOptions};
+use smr_gpu::engine::graph::Graph;
+use smr_gpu::engine::kernels::Caps;
+use smr_gpu::engine::lower::{Choice, Request, lower};
+use smr_gpu::engine::ops::{self, Op};
+use smr_gpu::engine::shape::{Extent, TensorSpec};
+use smr_gpu::verify::check::{Selection, Target, rows};
 
 /// The device that all tests of a process share; no adapter is a failure, never a skip.
 pub fn gpu() -> &'static Arc<Gpu> {

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use rand::{RngExt, SeedableRng};
-use smr_gpu::kernels::{self, Caps};
-use smr_gpu::ops::{Entry, OPS};
-use smr_gpu::shader::{Replacement, Shader, Variant, reflect, reflect_replaced};
+use smr_gpu::engine::kernels::{self, Caps};
+use smr_gpu::engine::ops::{Entry, OPS};
+use smr_gpu::engine::shader::{Replacement, Shader, Variant, reflect, reflect_replaced};
 
 /// A shader file with one fault.
 #[derive(Clone, Debug)]

@@ -1,7 +1,7 @@
 //! Every shader in every variant, for adapters of all kinds.
 
-use smr_gpu::kernels::{self, Caps};
-use smr_gpu::shader::{Shader, Variant};
+use smr_gpu::engine::kernels::{self, Caps};
+use smr_gpu::engine::shader::{Shader, Variant};
 
 pub fn all() -> Vec<(&'static Shader, Variant)> {
     let mut found: Vec<(&'static Shader, Variant)> = Vec::new();

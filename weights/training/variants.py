@@ -1,6 +1,6 @@
 """Writes golden tensors of every ablation, and of the network without its deepest scale, on untrained weights, for the Rust tests.
 
-The weights and the picture are hashes, which src/model/weights.rs and
+The weights and the picture are hashes, which src/smr/weights.rs and
 tests/stages.rs compute too, so the file holds outputs only. Computed in
 float64, stored in float32, named "no-msff/rpn.cls" and so on. Of the RoI
 head's rows only the best proposal's is kept.
@@ -33,7 +33,7 @@ VECTORS = (
 
 
 def hashed(name: str, shape: torch.Size) -> torch.Tensor:
-    """The values of `random_tensor` in src/model/weights.rs, bit for bit."""
+    """The values of `random_tensor` in src/smr/weights.rs, bit for bit."""
     key = 0x811C9DC5 ^ SEED
     for byte in name.encode():
         key = (key ^ byte) * 0x01000193 & 0xFFFFFFFF

@@ -8,13 +8,13 @@ use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use smr_gpu::coco::{self, Attribute, Picture};
+use smr_gpu::evaluation::coco::{self, Attribute, Picture};
+use smr_gpu::evaluation::metrics::ScoredBox;
 use smr_gpu::evaluation::{
     Deviations, Figures, Found, LEAST_SCORE, Reliability, Seen, Snap, Stratum, by_condition,
     deviations, figures, reliability,
 };
 use smr_gpu::files::{self, Outputs};
-use smr_gpu::metrics::ScoredBox;
 use smr_gpu::{Detections, Frame, GpuDetector, Origin};
 
 use super::detector::{self, Assumed, DetectorArgs, fraction};

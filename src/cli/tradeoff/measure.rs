@@ -6,12 +6,12 @@ use std::time::Instant;
 
 use image::DynamicImage;
 use indicatif::{ProgressBar, ProgressStyle};
-use smr_gpu::comparison::relative_l2;
 use smr_gpu::detector::Stages;
+use smr_gpu::engine::tensor::Value;
+use smr_gpu::evaluation::metrics::box_iou;
+use smr_gpu::evaluation::tradeoff::{Measured, Quality, Setup, Shift, Spread, StageError, Table};
 use smr_gpu::evaluation::{Figures, LEAST_SCORE, Seen, figures};
-use smr_gpu::metrics::box_iou;
-use smr_gpu::tensor::Value;
-use smr_gpu::tradeoff::{Measured, Quality, Setup, Shift, Spread, StageError, Table};
+use smr_gpu::verify::comparison::relative_l2;
 use smr_gpu::{Config, Detection, Detections, Frame, GpuDetector};
 
 use super::super::detector;

@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use smr_gpu::evaluation::tradeoff::{Limit, Table};
 use smr_gpu::files::Outputs;
-use smr_gpu::tradeoff::{Limit, Table};
 use smr_gpu::{Config, Device};
 
 pub(super) use peak::{Args as PeakArgs, run as run_peak};
@@ -172,7 +172,7 @@ fn recommendation(table: &Table, limit: Limit) -> String {
 
 /// The classes that a weight file knows.
 fn classes_of(weights: &Path) -> Result<Vec<String>, Failure> {
-    let weights = smr_gpu::model::Weights::open(weights)?;
+    let weights = smr_gpu::smr::Weights::open(weights)?;
     Ok(weights.config().classes.clone())
 }
 

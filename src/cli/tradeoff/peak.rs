@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use smr_gpu::Config;
-use smr_gpu::tradeoff::Setup;
+use smr_gpu::evaluation::tradeoff::Setup;
 
 use super::super::exit::{Exit, Failure};
 use super::super::output::line;

@@ -8,7 +8,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::FontStyle;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
-use smr_gpu::tradeoff::{Measured, Table};
+use smr_gpu::evaluation::tradeoff::{Measured, Table};
 
 use super::super::draw::FONT;
 use super::super::output::count;
@@ -242,7 +242,7 @@ where
 
 #[cfg(test)]
 mod tests {
-    use smr_gpu::tradeoff::{Setup, Shift as Moved, Spread};
+    use smr_gpu::evaluation::tradeoff::{Setup, Shift as Moved, Spread};
 
     use super::*;
 

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use smr_gpu::tradeoff::{Measured, Spread, Table};
+use smr_gpu::evaluation::tradeoff::{Measured, Spread, Table};
 
 use super::super::output::count;
 

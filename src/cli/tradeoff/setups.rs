@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use smr_gpu::gpu::Gpu;
-use smr_gpu::lower::Choice;
-use smr_gpu::tradeoff::{Measured, Setup, Table, digest};
-use smr_gpu::tune::Place;
+use smr_gpu::engine::gpu::Gpu;
+use smr_gpu::engine::lower::Choice;
+use smr_gpu::evaluation::tradeoff::{Measured, Setup, Table, digest};
+use smr_gpu::verify::tune::Place;
 use smr_gpu::{Config, Device, Precision, WeightSource};
 
 use super::super::detector::{open_gpu, weight_file};
@@ -147,7 +147,7 @@ pub(super) fn weights(names: &[String]) -> Result<Vec<(String, PathBuf, String)>
 }
 
 fn digest_of_file(file: &Path) -> Result<String, Failure> {
-    let bytes = smr_gpu::files::read(file, smr_gpu::model::MAX_FILE)
+    let bytes = smr_gpu::files::read(file, smr_gpu::smr::MAX_FILE)
         .map_err(|e| Failure::new(Exit::Weights, format!("weights {}: {e}", file.display())))?;
     Ok(digest(&bytes))
 }
@@ -196,14 +196,18 @@ mod tests {
     use super::*;
 
     fn row(setup: &Setup, ms: f64, mm: f64) -> Measured {
-        let spread = |v| smr_gpu::tradeoff::Spread { median: v, percentile_95: v, worst: v };
+        let spread =
+            |v| smr_gpu::evaluation::tradeoff::Spread { median: v, percentile_95: v, worst: v };
         Measured {
             setup: setup.clone(),
             wall_ms: spread(ms),
             device_ms: None,
             peak_bytes: None,
             stages: vec![],
-            shift: smr_gpu::tradeoff::Shift { mm: Some(spread(mm)), ..Default::default() },
+            shift: smr_gpu::evaluation::tradeoff::Shift {
+                mm: Some(spread(mm)),
+                ..Default::default()
+            },
             quality: None,
         }
     }

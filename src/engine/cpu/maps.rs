@@ -1,0 +1,173 @@
+//! Gates, weighted sums and interpolation on channels-last maps, and the gates of pixels.
+
+use super::gemm::vectorised;
+use super::kernel::{Data, Kernel, Layout};
+use crate::engine::cores::each;
+use crate::engine::reference;
+use crate::engine::shape::TensorSpec;
+
+/// Pixels that one task works on.
+const RUN: usize = 128;
+
+/// `input · channel gate · spatial gate`.
+#[derive(Debug)]
+pub(super) struct Gates {
+    pub channels: usize,
+}
+
+impl Kernel for Gates {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+        let (input, gate, spatial) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);
+        let run = RUN * self.channels;
+        let parts = input.chunks(run).zip(spatial.chunks(RUN));
+        each(outputs[0].chunks_mut(run).zip(parts), |(out, (input, spatial))| {
+            vectorised(|| {
+                let pixels = out.chunks_exact_mut(self.channels);
+                for ((out, input), s) in pixels.zip(input.chunks_exact(self.channels)).zip(spatial)
+                {
+                    for ((out, x), gate) in out.iter_mut().zip(input).zip(gate) {
+                        *out = x * (gate * s);
+                    }
+                }
+            });
+        });
+        Ok(())
+    }
+}
+
+/// `Σ weights[k] · maps[k]`.
+#[derive(Debug)]
+pub(super) struct Sum;
+
+impl Kernel for Sum {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+        let weights = inputs[0].f32()?;
+        let maps: Vec<&[f32]> =
+            inputs[1..].iter().map(|map| map.f32()).collect::<Result<_, _>>()?;
+        const PART: usize = 16 * 1024;
+        each(outputs[0].chunks_mut(PART).enumerate(), |(i, out)| {
+            vectorised(|| {
+                for (k, (weight, map)) in weights.iter().zip(&maps).enumerate() {
+                    for (out, x) in out.iter_mut().zip(&map[i * PART..]) {
+                        *out = if k == 0 { weight * x } else { *out + weight * x };
+                    }
+                }
+            });
+        });
+        Ok(())
+    }
+}
+
+/// Bilinear interpolation to another size, PyTorch's with `align_corners=False`.
+#[derive(Debug)]
+pub(super) struct Bilinear {
+    channels: usize,
+    width: usize,
+    rows: Vec<Between>,
+    columns: Vec<Between>,
+}
+
+/// The two inputs that an output lies between, and its distance from the first.
+#[derive(Clone, Copy, Debug)]
+struct Between {
+    low: usize,
+    high: usize,
+    along: f32,
+}
+
+impl Bilinear {
+    pub fn new(input: &TensorSpec, output: &TensorSpec) -> Self {
+        let axis = |dim: usize| {
+            let (from, to) = (input.shape.0[dim], output.shape.0[dim]);
+            let between = |i: usize| {
+                let (low, high, along) = reference::between(i, from, to);
+                Between { low, high, along: along as f32 }
+            };
+            (0..to).map(between).collect()
+        };
+        let [channels, _, width] = [0, 1, 2].map(|i| input.shape.0[i]);
+        Self { channels, width, rows: axis(1), columns: axis(2) }
+    }
+}
+
+impl Kernel for Bilinear {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+        let input = inputs[0].f32()?;
+        let pixel =
+            |y: usize, x: usize| &input[(y * self.width + x) * self.channels..][..self.channels];
+        let row = self.columns.len() * self.channels;
+        each(outputs[0].chunks_mut(row).zip(&self.rows), |(out, y)| {
+            vectorised(|| {
+                for (out, x) in out.chunks_exact_mut(self.channels).zip(&self.columns) {
+                    let [a, b] = [pixel(y.low, x.low), pixel(y.low, x.high)];
+                    let [c, d] = [pixel(y.high, x.low), pixel(y.high, x.high)];
+                    for (i, out) in out.iter_mut().enumerate() {
+                        let top = a[i] * (1.0 - x.along) + b[i] * x.along;
+                        let bottom = c[i] * (1.0 - x.along) + d[i] * x.along;
+                        *out = top * (1.0 - y.along) + bottom * y.along;
+                    }
+                }
+            });
+        });
+        Ok(())
+    }
+}
+
+/// `sigmoid` of a 7×7 convolution of a map of two planes.
+#[derive(Debug)]
+pub(super) struct SpatialGates {
+    height: usize,
+    width: usize,
+    weight: Vec<f32>,
+    bias: f32,
+}
+
+impl SpatialGates {
+    pub fn new(input: &TensorSpec, weight: &[f32], bias: f32) -> Self {
+        let [height, width] = [1, 2].map(|i| input.shape.0[i]);
+        Self { height, width, weight: weight.to_vec(), bias }
+    }
+}
+
+/// Taps on each side of the middle one.
+const REACH: usize = 3;
+
+impl Kernel for SpatialGates {
+    fn input_layout(&self, _index: usize) -> Layout {
+        Layout::Planar
+    }
+
+    fn packed(&self) -> &'static [usize] {
+        &[1, 2]
+    }
+
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+        let input = inputs[0].f32()?;
+        let (height, width) = (self.height, self.width);
+        let wide = width + 2 * REACH;
+        // Rows with zeros on both sides, so that each tap is a shifted row.
+        let mut padded = vec![0.0; 2 * height * wide];
+        for (to, from) in padded.chunks_exact_mut(wide).zip(input.chunks_exact(width)) {
+            to[REACH..REACH + width].copy_from_slice(from);
+        }
+        each(outputs[0].chunks_mut(width).enumerate(), |(y, out)| {
+            vectorised(|| {
+                out.fill(self.bias);
+                for (tap, weight) in self.weight.iter().enumerate() {
+                    let (plane, ky, kx) = (tap / 49, tap / 7 % 7, tap % 7);
+                    let iy = (y + ky).wrapping_sub(REACH);
+                    if iy < height {
+                        let row = &padded[(plane * height + iy) * wide + kx..][..width];
+                        for (out, x) in out.iter_mut().zip(row) {
+                            *out += weight * x;
+                        }
+                    }
+                }
+                for out in out.iter_mut() {
+                    *out = 1.0 / (1.0 + (-*out).exp());
+                }
+            });
+        });
+        Ok(())
+    }
+}

@@ -1,0 +1,177 @@
+//! Pooling over windows, over space and over channels, on channels-last maps.
+
+use super::gemm::vectorised;
+use super::kernel::{Data, Kernel, Layout};
+use crate::engine::cores::each;
+use crate::engine::ops::MaxPool2d;
+use crate::engine::shape::TensorSpec;
+
+/// Pixels whose sum is kept apart, so that the mean of a large map loses few digits.
+const RUN: usize = 64;
+
+/// The larger of two values; a NaN on either side stays.
+#[inline(always)]
+fn larger(a: f32, b: f32) -> f32 {
+    if b <= a || a.is_nan() { a } else { b }
+}
+
+/// Maximum in each window.
+#[derive(Debug)]
+pub(super) struct Windows {
+    op: MaxPool2d,
+    channels: usize,
+    input: [usize; 2],
+    output: [usize; 2],
+}
+
+impl Windows {
+    pub fn new(op: MaxPool2d, input: &TensorSpec, output: &TensorSpec) -> Self {
+        let size = |spec: &TensorSpec| [spec.shape.0[1], spec.shape.0[2]];
+        Self { op, channels: input.shape.0[0], input: size(input), output: size(output) }
+    }
+}
+
+impl Kernel for Windows {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+        let input = inputs[0].f32()?;
+        let MaxPool2d { kernel, stride, padding } = self.op;
+        let ([in_h, in_w], [_, out_w], channels) = (self.input, self.output, self.channels);
+        let inside = |at: usize, length: usize| {
+            let first = (at * stride).saturating_sub(padding);
+            first..(at * stride + kernel).saturating_sub(padding).min(length)
+        };
+        each(outputs[0].chunks_mut(out_w * channels).enumerate(), |(oy, row)| {
+            vectorised(|| {
+                for (ox, out) in row.chunks_exact_mut(channels).enumerate() {
+                    out.fill(f32::NEG_INFINITY);
+                    for y in inside(oy, in_h) {
+                        for x in inside(ox, in_w) {
+                            let from = &input[(y * in_w + x) * channels..][..channels];
+                            for (out, value) in out.iter_mut().zip(from) {
+                                *out = larger(*out, *value);
+                            }
+                        }
+                    }
+                }
+            });
+        });
+        Ok(())
+    }
+}
+
+/// Mean, and maximum if wanted, of each channel over space, of one or several maps.
+#[derive(Debug)]
+pub(super) struct OverSpace {
+    /// Channels of each map.
+    channels: Vec<usize>,
+    with_maximum: bool,
+}
+
+impl OverSpace {
+    /// `with_maximum`: a second row of maxima behind the means.
+    pub fn new(inputs: &[TensorSpec], with_maximum: bool) -> Self {
+        Self { channels: inputs.iter().map(|map| map.shape.0[0]).collect(), with_maximum }
+    }
+
+    /// Of one map; `maxima` may be empty.
+    fn reduce(input: &[f32], means: &mut [f32], maxima: &mut [f32]) {
+        let channels = means.len();
+        // Partial sums and maxima of runs of pixels, in parallel; then their sum in order.
+        let runs = input.chunks(RUN * channels);
+        let mut parts = vec![0.0f32; runs.len() * 2 * channels];
+        each(parts.chunks_mut(2 * channels).zip(runs), |(part, run)| {
+            let (sum, most) = part.split_at_mut(channels);
+            most.fill(f32::NEG_INFINITY);
+            vectorised(|| {
+                for pixel in run.chunks_exact(channels) {
+                    for ((sum, most), x) in sum.iter_mut().zip(most.iter_mut()).zip(pixel) {
+                        *sum += x;
+                        *most = larger(*most, *x);
+                    }
+                }
+            });
+        });
+        let mut total = vec![0f64; channels];
+        maxima.fill(f32::NEG_INFINITY);
+        for part in parts.chunks(2 * channels) {
+            let (sum, most) = part.split_at(channels);
+            for (total, sum) in total.iter_mut().zip(sum) {
+                *total += f64::from(*sum);
+            }
+            for (out, most) in maxima.iter_mut().zip(most) {
+                *out = larger(*out, *most);
+            }
+        }
+        let pixels = (input.len() / channels) as f64;
+        for (mean, total) in means.iter_mut().zip(total) {
+            *mean = (total / pixels) as f32;
+        }
+    }
+}
+
+impl Kernel for OverSpace {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+        let mut rest = &mut *outputs[0];
+        for (map, channels) in inputs.iter().zip(&self.channels) {
+            let (means, behind) = rest.split_at_mut(*channels);
+            let maxima = if self.with_maximum { *channels } else { 0 };
+            let (maxima, behind) = behind.split_at_mut(maxima);
+            Self::reduce(map.f32()?, means, maxima);
+            rest = behind;
+        }
+        Ok(())
+    }
+}
+
+/// Maximum and mean over the channels of a gated map.
+#[derive(Debug)]
+pub(super) struct OverChannels {
+    channels: usize,
+    pixels: usize,
+}
+
+impl OverChannels {
+    pub fn new(input: &TensorSpec) -> Self {
+        let [channels, height, width] = [0, 1, 2].map(|i| input.shape.0[i]);
+        Self { channels, pixels: height * width }
+    }
+}
+
+/// Channels that are reduced side by side.
+const LANES: usize = 16;
+
+impl Kernel for OverChannels {
+    fn output_layout(&self) -> Layout {
+        Layout::Planar
+    }
+
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+        let (input, gate) = (inputs[0].f32()?, inputs[1].f32()?);
+        let (largest, means) = outputs[0].split_at_mut(self.pixels);
+        let channels = self.channels;
+        let pixels = input.chunks(RUN * channels);
+        each(
+            largest.chunks_mut(RUN).zip(means.chunks_mut(RUN)).zip(pixels),
+            |((largest, means), pixels)| {
+                vectorised(|| {
+                    let each = largest.iter_mut().zip(means).zip(pixels.chunks_exact(channels));
+                    for ((largest, mean), pixel) in each {
+                        let mut sum = [0.0f32; LANES];
+                        let mut most = [f32::NEG_INFINITY; LANES];
+                        for (pixel, gate) in pixel.chunks(LANES).zip(gate.chunks(LANES)) {
+                            let lanes = sum.iter_mut().zip(&mut most).zip(pixel).zip(gate);
+                            for (((sum, most), x), gate) in lanes {
+                                let gated = x * gate;
+                                *sum += gated;
+                                *most = larger(*most, gated);
+                            }
+                        }
+                        *largest = most.into_iter().fold(f32::NEG_INFINITY, larger);
+                        *mean = sum.iter().sum::<f32>() / channels as f32;
+                    }
+                });
+            },
+        );
+        Ok(())
+    }
+}

@@ -1,0 +1,80 @@
+//! RoIAlign on a channels-last map: a sample is four pixels' channels.
+
+use super::gemm::vectorised;
+use super::kernel::{Data, Kernel};
+use crate::engine::cores::each;
+use crate::engine::reference::{RoiGrid, neighbours};
+use crate::engine::shape::TensorSpec;
+
+/// RoIAlign as [`crate::engine::ops::RoiAlign`] defines it.
+#[derive(Debug)]
+pub(super) struct Regions {
+    grid: RoiGrid,
+    channels: usize,
+    height: usize,
+    width: usize,
+    rois: usize,
+    count: bool,
+}
+
+/// A sample's pixels and their weights.
+type Sample = [(usize, f32); 4];
+
+impl Regions {
+    pub fn new(grid: RoiGrid, features: &TensorSpec, rois: usize, count: bool) -> Self {
+        let [channels, height, width] = [0, 1, 2].map(|i| features.shape.0[i]);
+        Self { grid, channels, height, width, rois, count }
+    }
+
+    /// The pixels round a point and their weights; `None` outside the map.
+    fn sample(&self, y: f64, x: f64) -> Option<Sample> {
+        let (y0, y1, fy) = neighbours(y, self.height)?;
+        let (x0, x1, fx) = neighbours(x, self.width)?;
+        let at = |y: usize, x: usize| (y * self.width + x) * self.channels;
+        let weight = |y: f64, x: f64| (y * x) as f32;
+        Some([
+            (at(y0, x0), weight(1.0 - fy, 1.0 - fx)),
+            (at(y0, x1), weight(1.0 - fy, fx)),
+            (at(y1, x0), weight(fy, 1.0 - fx)),
+            (at(y1, x1), weight(fy, fx)),
+        ])
+    }
+}
+
+impl Kernel for Regions {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+        let (features, boxes) = (inputs[0].f32()?, inputs[1].f32()?);
+        let rois = match self.count {
+            true => self.rois.min(inputs[2].u32()?[0] as usize),
+            false => self.rois,
+        };
+        let RoiGrid { size, ratio, .. } = self.grid;
+        let (bin, share) = (self.channels, 1.0 / (ratio * ratio) as f32);
+        let roi = size * size * bin;
+        each(outputs[0][..rois * roi].chunks_mut(roi).zip(boxes.chunks(4)), |(out, b)| {
+            for (i, out) in out.chunks_exact_mut(bin).enumerate() {
+                let (bin_y, bin_x) = (i / size, i % size);
+                let samples = (0..ratio * ratio).filter_map(|s| {
+                    let y = self.grid.sample(b[1], b[3], bin_y, s / ratio);
+                    let x = self.grid.sample(b[0], b[2], bin_x, s % ratio);
+                    self.sample(y, x)
+                });
+                vectorised(|| {
+                    out.fill(0.0);
+                    for sample in samples {
+                        let [(a, wa), (b, wb), (c, wc), (d, wd)] = sample;
+                        let pixel = |at: usize| &features[at..at + bin];
+                        let (a, b, c, d) = (pixel(a), pixel(b), pixel(c), pixel(d));
+                        for (k, out) in out.iter_mut().enumerate() {
+                            *out += wa * a[k] + wb * b[k] + (wc * c[k] + wd * d[k]);
+                        }
+                    }
+                    for out in out.iter_mut() {
+                        *out *= share;
+                    }
+                });
+            }
+        });
+        Ok(())
+    }
+}

@@ -1,0 +1,271 @@
+//! Shaders compiled to pipelines, each once a device.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+
+use crate::engine::gpu::context::Gpu;
+use crate::engine::gpu::faults::{Call, Fault};
+use crate::engine::gpu::memory::{texture_format, uneven};
+use crate::engine::kernels::{Command, Dispatch, Recording};
+use crate::engine::lock::lock;
+use crate::engine::precision::Precision;
+use crate::engine::shader::{self, BindingKind, Variant};
+use crate::error::{Error, Result};
+
+/// What a binding of a shader that runs no workgroups holds: as much as its types have at least.
+const WARM_BYTES: u64 = 16 << 10;
+
+/// Shader, how it is read, and entry point.
+type PipelineKey = (&'static str, Variant, &'static str);
+
+/// A shader entry point, compiled, with its bindings by name.
+#[derive(Debug)]
+pub(super) struct Pipeline {
+    pub label: String,
+    pub pipeline: wgpu::ComputePipeline,
+    pub layout: wgpu::BindGroupLayout,
+    pub bindings: Vec<(String, u32, BindingKind)>,
+    /// Whether it reads how many workgroups there are.
+    pub reads_grid: bool,
+}
+
+#[derive(Debug)]
+struct Module {
+    module: wgpu::ShaderModule,
+    reflection: shader::Reflection,
+}
+
+/// A device's shaders and pipelines so far.
+#[derive(Debug)]
+pub(super) struct Pipelines {
+    /// Other texts for shader files.
+    pub replacements: Vec<shader::Replacement>,
+    modules: Mutex<HashMap<(&'static str, Variant), Arc<Module>>>,
+    compiled: Mutex<HashMap<PipelineKey, Arc<Pipeline>>>,
+}
+
+impl Pipelines {
+    pub fn new(replacements: Vec<shader::Replacement>) -> Self {
+        Self { replacements, modules: Mutex::default(), compiled: Mutex::default() }
+    }
+}
+
+impl Gpu {
+    fn module(&self, shader: &'static shader::Shader, variant: &Variant) -> Result<Arc<Module>> {
+        let key = (shader.stem, variant.clone());
+        let mut modules = lock(&self.pipelines.modules);
+        if let Some(module) = modules.get(&key) {
+            return Ok(module.clone());
+        }
+        let reflection = shader::reflect_with(shader, variant, &self.pipelines.replacements)?;
+        let desc = wgpu::ShaderModuleDescriptor {
+            label: Some(shader.stem),
+            source: wgpu::ShaderSource::Wgsl(reflection.text.as_str().into()),
+        };
+        let module = if self.options.checked {
+            self.device.create_shader_module(desc)
+        } else {
+            // SAFETY: the shaders are this crate's own; each index is below the sizes in its
+            // `Params`, which `record` takes from the bound tensors, every loop is bounded by
+            // those sizes, and the tests run each with sentinels behind every buffer.
+            unsafe {
+                self.device
+                    .create_shader_module_trusted(desc, wgpu::ShaderRuntimeChecks::unchecked())
+            }
+        };
+        let module = Arc::new(Module { module, reflection });
+        modules.insert(key, module.clone());
+        Ok(module)
+    }
+
+    /// Compiles what the dispatches of `recording` need and is not compiled yet, on all cores, while
+    /// this thread does `meanwhile`.
+    pub(super) fn compile<T>(
+        &self,
+        recording: &Recording,
+        meanwhile: impl FnOnce() -> Result<T>,
+    ) -> Result<T> {
+        let mut wanted: HashMap<PipelineKey, &Dispatch> = HashMap::new();
+        for command in recording.commands() {
+            if let Command::Dispatch(dispatch) = command {
+                let key = (dispatch.shader.stem, dispatch.variant.clone(), dispatch.entry);
+                wanted.entry(key).or_insert(dispatch);
+            }
+        }
+        let known = lock(&self.pipelines.compiled);
+        wanted.retain(|key, _| !known.contains_key(key));
+        drop(known);
+        // Several entries of a module next to each other wait for it together.
+        let mut wanted: Vec<_> = wanted.into_iter().collect();
+        wanted.sort_by(|a, b| (a.0.2, &a.0).cmp(&(b.0.2, &b.0)));
+        let next = AtomicUsize::new(0);
+        let compile = || -> Result<()> {
+            while let Some((_, dispatch)) = wanted.get(next.fetch_add(1, Ordering::Relaxed)) {
+                let pipeline = self.pipeline(dispatch)?;
+                if self.info().device_type == wgpu::DeviceType::Cpu {
+                    self.warm(&pipeline, &dispatch.params);
+                }
+            }
+            Ok(())
+        };
+        std::thread::scope(|scope| {
+            let cores = std::thread::available_parallelism().map_or(1, usize::from);
+            let threads = cores.min(wanted.len());
+            let spawn = |_| std::thread::Builder::new().spawn_scoped(scope, compile).ok();
+            let threads: Vec<_> = (0..threads).map_while(spawn).collect();
+            let result = meanwhile();
+            if threads.is_empty() {
+                compile()?;
+            }
+            for thread in threads {
+                match thread.join() {
+                    Ok(compiled) => compiled?,
+                    Err(panic) => std::panic::resume_unwind(panic),
+                }
+            }
+            result
+        })
+    }
+
+    /// The pipeline for a dispatch, compiled on first use.
+    pub(super) fn pipeline(&self, dispatch: &Dispatch) -> Result<Arc<Pipeline>> {
+        let shader = dispatch.shader;
+        let key = (shader.stem, dispatch.variant.clone(), dispatch.entry);
+        let known = |key: &PipelineKey| lock(&self.pipelines.compiled).get(key).cloned();
+        if let Some(pipeline) = known(&key) {
+            return Ok(pipeline);
+        }
+        let label = format!("{}::{} {}", shader.stem, dispatch.entry, dispatch.variant);
+        let label = label.trim_end();
+        // What the driver objects to is told to the thread that asked, and kept for nobody.
+        let build = || self.build_pipeline(dispatch, label);
+        let built = pollster::block_on(self.scoped(&format!("compiling {label}"), build));
+        let pipeline = built.inspect_err(|_| {
+            let key = (shader.stem, dispatch.variant.clone());
+            lock(&self.pipelines.modules).remove(&key);
+        })?;
+        let mut pipelines = lock(&self.pipelines.compiled);
+        Ok(pipelines.entry(key).or_insert(Arc::new(pipeline)).clone())
+    }
+
+    /// Runs no workgroups of a pipeline: lavapipe makes machine code at the first dispatch, one pipeline
+    /// after the other, and so it does while weights are read. What goes wrong is told by the first run.
+    fn warm(&self, pipeline: &Pipeline, params: &[u8]) {
+        let buffer = |usage| {
+            self.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("warm"),
+                size: WARM_BYTES.max(params.len() as u64).next_multiple_of(4),
+                usage: usage | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            })
+        };
+        self.unheard(|| {
+            let views = [Precision::F32, Precision::F16].map(|precision| {
+                let texture = self.create_texture(uneven(1), uneven(1), precision);
+                texture.create_view(&Default::default())
+            });
+            let uniform = buffer(wgpu::BufferUsages::UNIFORM);
+            let bindings = pipeline.bindings.iter();
+            let buffers: Vec<_> = bindings.map(|_| buffer(wgpu::BufferUsages::STORAGE)).collect();
+            let entry = |((_, binding, kind), buffer): (&(String, u32, BindingKind), _)| {
+                let buffer: &wgpu::Buffer = buffer;
+                wgpu::BindGroupEntry {
+                    binding: *binding,
+                    resource: match kind {
+                        BindingKind::Texture(precision) => {
+                            let view = &views[usize::from(precision.is_half())];
+                            wgpu::BindingResource::TextureView(view)
+                        }
+                        BindingKind::Uniform => uniform.as_entire_binding(),
+                        BindingKind::Read | BindingKind::ReadWrite => buffer.as_entire_binding(),
+                    },
+                }
+            };
+            let entries: Vec<_> = pipeline.bindings.iter().zip(&buffers).map(entry).collect();
+            let group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some("warm"),
+                layout: &pipeline.layout,
+                entries: &entries,
+            });
+            let mut encoder = self.device.create_command_encoder(&Default::default());
+            let mut pass = encoder.begin_compute_pass(&Default::default());
+            pass.set_pipeline(&pipeline.pipeline);
+            pass.set_bind_group(0, &group, &[]);
+            pass.dispatch_workgroups(0, 0, 0);
+            drop(pass);
+            // One at a time: weights are uploaded between them.
+            {
+                let _turn = self.turn();
+                self.queue.write_buffer(&uniform, 0, params);
+                self.queue.submit([encoder.finish()]);
+            }
+            self.wait();
+        });
+    }
+
+    fn build_pipeline(&self, dispatch: &Dispatch, label: &str) -> Result<Pipeline> {
+        let shader = dispatch.shader;
+        let module = self.module(shader, &dispatch.variant)?;
+        let entry = module.reflection.entries.iter().find(|e| e.name == dispatch.entry);
+        let entry = entry.ok_or_else(|| Error::Shader {
+            file: format!("{}.wgsl", shader.stem),
+            line: 0,
+            message: format!("no entry point `{}`", dispatch.entry),
+        })?;
+        let buffer = |ty| wgpu::BindingType::Buffer {
+            ty,
+            has_dynamic_offset: false,
+            min_binding_size: None,
+        };
+        let layout_entries: Vec<_> = entry
+            .bindings
+            .iter()
+            .map(|(_, binding, kind)| wgpu::BindGroupLayoutEntry {
+                binding: *binding,
+                visibility: wgpu::ShaderStages::COMPUTE,
+                ty: match kind {
+                    BindingKind::Uniform => buffer(wgpu::BufferBindingType::Uniform),
+                    BindingKind::Read => {
+                        buffer(wgpu::BufferBindingType::Storage { read_only: true })
+                    }
+                    BindingKind::ReadWrite => {
+                        buffer(wgpu::BufferBindingType::Storage { read_only: false })
+                    }
+                    BindingKind::Texture(precision) => wgpu::BindingType::StorageTexture {
+                        access: wgpu::StorageTextureAccess::ReadOnly,
+                        format: texture_format(*precision),
+                        view_dimension: wgpu::TextureViewDimension::D2,
+                    },
+                },
+                count: None,
+            })
+            .collect();
+        let layout = self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some(label),
+            entries: &layout_entries,
+        });
+        let pipeline_layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(label),
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        });
+        let refused = self.fault(Call::Pipeline) == Some(Fault::Invalid);
+        let pipeline = self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(label),
+            layout: Some(&pipeline_layout),
+            module: &module.module,
+            entry_point: Some(if refused { "none" } else { dispatch.entry }),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                // Every shader writes its workgroup memory before it reads it.
+                zero_initialize_workgroup_memory: false,
+                ..Default::default()
+            },
+            // Drivers that keep compiled shaders do so without one: docs/rejected.md.
+            cache: None,
+        });
+        let bindings = entry.bindings.clone();
+        let reads_grid = entry.reads_grid;
+        Ok(Pipeline { label: label.to_owned(), pipeline, layout, bindings, reads_grid })
+    }
+}

@@ -1,0 +1,575 @@
+//! On maps of four channels a texel, in registers.
+
+use super::{Sizes, join, padded_bias, weights_known};
+use std::borrow::Cow;
+
+use crate::engine::graph::TensorId;
+use crate::engine::kernels::products::Lanes;
+use crate::engine::kernels::weights::{Packing, Stored};
+use crate::engine::kernels::{
+    Caps, Dispatch, Grid, Io, Kernel, Layout, MAX_WORKGROUPS, Quads, Recording, Work, all_texels,
+    texels,
+};
+use crate::engine::ops::bounds::{Joined, SumOrder};
+use crate::engine::ops::{Conv2d, Op, Tolerance};
+use crate::engine::precision::Precision;
+use crate::engine::shader::{Shader, Variant, shader_params};
+use crate::engine::shape::TensorSpec;
+use crate::engine::tensor::{Constant, Tensor, Value};
+use crate::error::{Error, Result};
+
+shader_params! {
+    struct Params {
+        input: Quads,
+        output: Quads,
+        kernel_height: u32,
+        kernel_width: u32,
+        stride: u32,
+        padding: u32,
+        dilation: u32,
+        strips: u32,
+        spacing: u32,
+        blocks: u32,
+        split_blocks: u32,
+        pictures: u32,
+        weight_width: u32,
+        group_tiles: u32,
+        group_quads: u32,
+        has_residual: u32,
+        relu: u32,
+        block_quads: u32,
+    }
+}
+
+static SHADER: Shader = Shader {
+    stem: "conv2d/direct",
+    source: include_str!("../../../../wgsl/conv2d/direct.wgsl"),
+    params: PARAMS,
+};
+
+/// Workgroups that keep an adapter with many cores busy.
+const ENOUGH: u64 = 256;
+/// Farthest that an invocation's pixels lie apart: the farther, the more of them lie outside a small map.
+const MOST_SPACING: usize = 4;
+/// Most parts of a sum.
+const MOST_SPLITS: u64 = 8;
+
+/// Taps of a row that are added together, and the inputs that they share.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Taps {
+    /// One by one.
+    One,
+    /// Of a kernel of 3 × 3 without stride: pixels as far apart as the taps are.
+    Three,
+    /// Of a kernel of 3 × 3 of stride 2, undilated: pixels side by side.
+    ThreeOfStrideTwo,
+}
+
+impl Taps {
+    const ALL: [Self; 3] = [Self::One, Self::Three, Self::ThreeOfStrideTwo];
+
+    fn number(self) -> usize {
+        if self == Self::One { 1 } else { 3 }
+    }
+
+    /// `weights` says how those are stored; for the maps see [`Recording::dispatch_maps`].
+    fn variant(self, tile: &Tile, weights: Precision) -> Variant {
+        let variant = Variant::of(&[("WORKGROUP", tile.workgroup)]);
+        let variant = Lanes::variant(tile.lanes, variant).with("THREE_TAPS", self.number() == 3);
+        let variant = variant.with("STRIDE_TWO", self == Self::ThreeOfStrideTwo);
+        variant.with("HALF_WEIGHT", weights.is_half())
+    }
+}
+
+/// How the shader walks through a kernel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Form {
+    taps: Taps,
+    /// From one pixel that an invocation computes to the next.
+    spacing: usize,
+    /// Quads of input channels that are summed for themselves.
+    quads: usize,
+}
+
+impl Form {
+    fn of(op: &Conv2d, in_c: usize, kh: usize, kw: usize) -> Self {
+        let (taps, spacing) = match [kh, kw, op.stride, op.dilation] {
+            [3, 3, 1, dilation @ 1..=MOST_SPACING] => (Taps::Three, dilation),
+            [3, 3, 2, 1] => (Taps::ThreeOfStrideTwo, 1),
+            _ => (Taps::One, 1),
+        };
+        let most = if kh * kw == 1 { 8 } else { 4 };
+        Self { taps, spacing, quads: in_c.div_ceil(4).min(most) }
+    }
+
+    fn blocks(&self, in_c: usize) -> usize {
+        in_c.div_ceil(4).div_ceil(self.quads)
+    }
+
+    /// A block's products one after the other, the blocks, then bias and residual. Parts of a split sum
+    /// have fewer blocks, at least one less for each part more.
+    fn order(&self, in_c: usize, kh: usize, kw: usize) -> SumOrder {
+        let (terms, parts) = (4 * self.quads * kh * kw, self.blocks(in_c));
+        SumOrder { terms, parts, joined: Joined::InOrder, more: 2 }
+    }
+}
+
+/// How invocations share the work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::engine::kernels) enum Manner {
+    /// The lanes of a subgroup read weights for each other.
+    Whole,
+    /// So, and sums are cut into parts, for adapters that a small map leaves idle.
+    Split,
+    /// Each invocation alone, for adapters without subgroups.
+    Alone,
+}
+
+/// What one invocation computes, and how many there are in a workgroup.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Tile {
+    lanes: Option<Lanes>,
+    channels: usize,
+    pixels: usize,
+    workgroup: u32,
+}
+
+impl Tile {
+    /// `None` where the manner needs subgroups and there are none.
+    fn of(manner: Manner, caps: &Caps) -> Option<Self> {
+        match manner {
+            Manner::Alone => Some(Self { lanes: None, channels: 4, pixels: 8, workgroup: 32 }),
+            Manner::Whole | Manner::Split => {
+                let lanes = Lanes::of(caps)?;
+                let workgroup = lanes.workgroup;
+                Some(Self { lanes: Some(lanes), channels: 16, pixels: 4, workgroup })
+            }
+        }
+    }
+}
+
+/// A convolution cut into workgroups.
+#[derive(Clone, Copy, Debug)]
+struct Plan {
+    sizes: Sizes,
+    form: Form,
+    tile: Tile,
+    /// Groups of pixels in a row of outputs.
+    strips: u32,
+    /// Workgroups for one picture, its sums whole.
+    busy: u64,
+    /// Workgroups for the strips of all pictures, for the channels, and for the parts of sums.
+    grid: [u32; 3],
+    /// Columns and rows of the packed weights.
+    texels: [usize; 2],
+    split_blocks: u32,
+}
+
+/// What a plan is bound to; bias and residual are no part of it where sums are cut into parts.
+struct Bound {
+    input: TensorId,
+    weight: Stored,
+    bias: TensorId,
+    residual: TensorId,
+    output: TensorId,
+    /// Where the output lies.
+    to: Quads,
+}
+
+impl Plan {
+    /// `None` for weights that fit no texture, for a grid past any adapter's limits, and without the subgroups
+    /// that it needs.
+    fn of(op: &Conv2d, sizes: Sizes, manner: Manner, work: &Work) -> Option<Self> {
+        let Sizes { in_c, out_c, kh, kw, out_h, out_w } = sizes;
+        let (form, tile) = (Form::of(op, in_c, kh, kw), Tile::of(manner, work.caps)?);
+        let strips = out_w.div_ceil(tile.pixels * form.spacing) * form.spacing;
+        let tiles = out_c.div_ceil(tile.channels);
+        let across =
+            |pictures: usize| (pictures * strips * out_h).div_ceil(tile.workgroup as usize);
+        let busy = across(1) as u64 * tiles as u64;
+
+        let side = work.caps.texture_side as usize;
+        let taps = form.taps.number() * tile.channels;
+        let all = packed_texels(&sizes, &form, &tile);
+        let width = (side / taps * taps).min(all);
+        if width == 0 || all.div_ceil(width) > side {
+            return None;
+        }
+
+        let blocks = u32::try_from(form.blocks(in_c)).ok()?;
+        // The order of a picture's sums must not depend on the rest of its batch.
+        let splits = match manner {
+            Manner::Split => ENOUGH.div_ceil(busy).clamp(2, MOST_SPLITS) as u32,
+            Manner::Whole | Manner::Alone => 1,
+        };
+        let split_blocks = blocks.div_ceil(splits);
+        let splits = blocks.div_ceil(split_blocks) as usize;
+        let grid = [across(work.batch as usize), tiles, splits];
+        if grid.into_iter().any(|n| n > MAX_WORKGROUPS as usize) {
+            return None;
+        }
+        let [strips, grid @ ..] = [strips, grid[0], grid[1], grid[2]].map(|n| n as u32);
+        let texels = [width, all.div_ceil(width)];
+        Some(Self { sizes, form, tile, strips, busy, grid, texels, split_blocks })
+    }
+
+    /// Parts of each sum.
+    fn splits(&self) -> u32 {
+        self.grid[2]
+    }
+
+    /// Adds the weights that `transform` makes of `weight`, whose outputs it repeats `copies` times.
+    fn packed(
+        &self,
+        recording: &mut Recording,
+        name: &str,
+        weight: &Constant,
+        precision: Precision,
+        (copies, transform): (usize, fn(&Tensor) -> Cow<'_, Tensor>),
+    ) -> Stored {
+        let Self { form, tile, texels: [width, height], sizes, .. } = *self;
+        let packing = Packing {
+            texels: TensorSpec::f32([height, width, 4]),
+            outputs: sizes.out_c.next_multiple_of(tile.channels),
+            tile: tile.channels,
+            copies,
+            pack: move |w: &Tensor| pack_weight(&transform(w), &form, &tile, [width, height]),
+        };
+        packing.record(recording, name, weight, precision)
+    }
+
+    /// Appends the dispatch. Each of `groups` equal parts of the outputs sees its own part of the
+    /// inputs.
+    fn dispatch(
+        &self,
+        op: &Conv2d,
+        recording: &mut Recording,
+        bound: &Bound,
+        groups: u32,
+    ) -> Result<()> {
+        let Self { sizes, form, tile, grid, .. } = *self;
+        let whole = self.splits() == 1;
+        let input = recording.quads(bound.input)?;
+        let params = Params {
+            input,
+            output: bound.to,
+            kernel_height: sizes.kh as u32,
+            kernel_width: sizes.kw as u32,
+            stride: op.stride as u32,
+            padding: op.padding as u32,
+            dilation: op.dilation as u32,
+            strips: self.strips,
+            spacing: form.spacing as u32,
+            blocks: form.blocks(sizes.in_c) as u32,
+            split_blocks: self.split_blocks,
+            pictures: recording.batch(),
+            weight_width: self.texels[0] as u32,
+            group_tiles: grid[1] / groups,
+            group_quads: input.quads / groups,
+            has_residual: u32::from(op.residual && whole),
+            relu: u32::from(op.relu && whole),
+            block_quads: form.quads as u32,
+        };
+        let bindings = [
+            ("input", bound.input),
+            ("weight", bound.weight.texels),
+            ("bias", bound.bias),
+            ("residual", bound.residual),
+            ("output", bound.output),
+        ];
+        let bindings = bound.weight.scaled(&bindings);
+        let grid = Grid::Workgroups(grid);
+        let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
+        let precision = recording.info(bound.weight.texels).precision;
+        let variant = form.taps.variant(&tile, precision);
+        recording.dispatch_maps(dispatch.variant(variant), bound.input, bound.output);
+        Ok(())
+    }
+}
+
+/// Texels of the packed weights.
+fn packed_texels(sizes: &Sizes, form: &Form, tile: &Tile) -> usize {
+    let quads = form.blocks(sizes.in_c) * form.quads;
+    sizes.out_c.next_multiple_of(tile.channels) * quads * sizes.kh * sizes.kw
+}
+
+/// `[O, I, kh, kw]` to `[tile, quad, kh, kw, output of the tile, 4]`, in rows of texels, with zeros up
+/// to whole tiles, blocks and rows.
+fn pack_weight(weight: &Tensor, form: &Form, tile: &Tile, [width, height]: [usize; 2]) -> Tensor {
+    let [out_c, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
+    let quads = form.blocks(in_c) * form.quads;
+    let mut packed = Tensor::zeros([height, width, 4]);
+    let to = packed.data_mut();
+    for (o, kernel) in weight.data().chunks_exact(in_c * kh * kw).enumerate().take(out_c) {
+        for (i, taps) in kernel.chunks_exact(kh * kw).enumerate() {
+            let first = (o / tile.channels * quads + i / 4) * kh * kw;
+            for (tap, value) in taps.iter().enumerate() {
+                let texel = (first + tap) * tile.channels + o % tile.channels;
+                to[texel * 4 + i % 4] = *value;
+            }
+        }
+    }
+    packed
+}
+
+/// The definition, on maps of four channels a texel.
+#[derive(Debug)]
+pub(in crate::engine::kernels) struct Direct(pub Manner);
+
+impl Direct {
+    fn is_split(&self) -> bool {
+        self.0 == Manner::Split
+    }
+
+    fn plan(&self, work: &Work) -> Option<Plan> {
+        let op: &Conv2d = work.op().ok()?;
+        let plan = Plan::of(op, Sizes::of(op, work), self.0, work)?;
+        // Each part of a split sum is a map like the output.
+        let parts = work.quads(&work.outputs[0])?.most_bytes(work.batch) * u64::from(plan.splits());
+        let fits = weights_known(op, work.known)
+            && work.has_quads(&work.inputs[0])
+            && parts <= work.caps.buffer_bytes
+            && (plan.splits() > 1) == self.is_split();
+        fits.then_some(plan)
+    }
+}
+
+impl Kernel for Direct {
+    fn id(&self) -> &'static str {
+        match self.0 {
+            Manner::Whole => "conv2d/direct",
+            Manner::Split => "conv2d/split",
+            Manner::Alone => "conv2d/alone",
+        }
+    }
+
+    fn shaders(&self, caps: &Caps) -> Vec<(&'static Shader, Variant)> {
+        let Some(tile) = Tile::of(self.0, caps) else { return Vec::new() };
+        use Precision::{F16, F32};
+        // Weights, what is read, and what is written; the last for the parts of a sum.
+        let stored = [(F32, F32, F32), (F16, F16, F16), (F16, F16, F32), (F16, F32, F32)];
+        let direct = Taps::ALL.into_iter().flat_map(|taps| {
+            stored.map(|(w, read, written)| texels(taps.variant(&tile, w), read, written))
+        });
+        let join = self.is_split().then(|| all_texels(&Variant::default()));
+        let join = join.into_iter().flatten().map(|variant| (&join::SHADER, variant));
+        direct.map(|variant| (&SHADER, variant)).chain(join).collect()
+    }
+
+    fn fits(&self, work: &Work) -> bool {
+        self.plan(work).is_some()
+    }
+
+    fn preferred(&self, work: &Work) -> bool {
+        let idle = |plan: Plan| plan.busy < ENOUGH;
+        !self.is_split() || work.caps.has_many_cores() && self.plan(work).is_some_and(idle)
+    }
+
+    fn reads(&self, work: &Work, index: usize) -> Layout {
+        match (index, work.inputs[index].shape.rank()) {
+            (0, _) => Layout::Texture,
+            // The residual; weights are repacked.
+            (_, 3) => Layout::Quads,
+            _ => Layout::Planar,
+        }
+    }
+
+    fn writes(&self, _work: &Work) -> Layout {
+        Layout::Quads
+    }
+
+    fn batched(&self) -> bool {
+        true
+    }
+
+    fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
+        let op: &Conv2d = work.op()?;
+        let none = || Error::tensor(op.name(), "weight", "one that fits a texture", "a larger one");
+        let plan = self.plan(work).ok_or_else(none)?;
+        let (&input, &weight, bias, residual) = op.split(inputs);
+        let name = recording.info(weight).name.clone();
+        let weight = recording.weights(op.name(), weight)?;
+        let as_it_is: fn(&Tensor) -> Cow<'_, Tensor> = |w| Cow::Borrowed(w);
+        let weight = plan.packed(recording, &name, &weight, work.precision, (1, as_it_is));
+        let (out_c, tile) = (plan.sizes.out_c, plan.tile.channels);
+        let bias = padded_bias(op, recording, bias, out_c, tile)?;
+        let bias = recording.constant(format!("{name} (bias)"), bias);
+        // Any readable buffer serves where there is no residual: it is not read.
+        let residual = residual.copied().unwrap_or(bias);
+        let (to, output) = (recording.quads(outputs[0])?, outputs[0]);
+        if !self.is_split() {
+            let bound = Bound { input, weight, bias, residual, output, to };
+            return plan.dispatch(op, recording, &bound, 1);
+        }
+        let zeros = Tensor::<f32>::zeros([out_c.next_multiple_of(tile)]);
+        let zeros = recording.constant(format!("{name} (no bias)"), zeros);
+        let floats = to.texels() as usize * 4 * plan.splits() as usize;
+        let parts = recording.scratch("parts", TensorSpec::f32([floats]));
+        let bound = Bound { input, weight, bias: zeros, residual, output: parts, to };
+        plan.dispatch(op, recording, &bound, 1)?;
+        join::record(
+            op,
+            recording,
+            work.precision,
+            plan.splits(),
+            [parts, bias, residual, output],
+            to,
+        );
+        Ok(())
+    }
+
+    fn tolerance(
+        &self,
+        op: &dyn Op,
+        inputs: &[&Value],
+        _reference: &[Value],
+        precision: Precision,
+    ) -> Result<Option<Vec<Tolerance>>> {
+        let any: &dyn std::any::Any = op;
+        let Some(op) = any.downcast_ref::<Conv2d>() else { return Ok(None) };
+        let weight = op.split(inputs).1.spec();
+        let [_, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.shape.0[i]);
+        let order = Form::of(op, in_c, kh, kw).order(in_c, kh, kw);
+        op.summed(inputs, order, precision).map(Some)
+    }
+}
+
+/// Products of matrices side by side: each group of channels of a map by a matrix of its own.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Products {
+    plan: Plan,
+    groups: usize,
+}
+
+impl Products {
+    /// `groups` products of `in_c` to `out_c` channels for `columns` pixels. `None` where groups are no
+    /// whole tiles, or a texture is too small.
+    pub fn of(
+        groups: usize,
+        [in_c, out_c]: [usize; 2],
+        columns: usize,
+        work: &Work,
+    ) -> Option<Self> {
+        let out_c_all = groups * out_c;
+        let sizes = Sizes { in_c, out_c: out_c_all, kh: 1, kw: 1, out_h: 1, out_w: columns };
+        let plan = Plan::of(&Conv2d::default(), sizes, Manner::Whole, work)?;
+        let whole = in_c.is_multiple_of(4) && out_c.is_multiple_of(plan.tile.channels);
+        let maps = [in_c, out_c].map(|c| TensorSpec::f32([groups * c, 1, columns]));
+        let fit = maps.iter().all(|map| work.has_quads(map));
+        (whole && fit).then_some(Self { plan, groups })
+    }
+
+    /// The order of its sums over channels.
+    pub fn order(in_c: usize) -> SumOrder {
+        Form::of(&Conv2d::default(), in_c, 1, 1).order(in_c, 1, 1)
+    }
+
+    /// Appends the products of `input` `[groups · I, 1, columns]` and what `transform` makes of `weight`,
+    /// `[groups · O, I, 1, 1]`, stored in `precision`.
+    pub fn record(
+        &self,
+        recording: &mut Recording,
+        name: &str,
+        input: TensorId,
+        (weight, precision): (&Constant, Precision),
+        transform: fn(&Tensor) -> Cow<'_, Tensor>,
+        output: TensorId,
+    ) -> Result<()> {
+        let transform = (self.groups, transform);
+        let weight = self.plan.packed(recording, name, weight, precision, transform);
+        let zeros = Tensor::<f32>::zeros([self.plan.sizes.out_c]);
+        let bias = recording.constant(format!("{name} (no bias)"), zeros);
+        let to = recording.quads(output)?;
+        let bound = Bound { input, weight, bias, residual: bias, output, to };
+        self.plan.dispatch(&Conv2d::default(), recording, &bound, self.groups as u32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tile(channels: usize) -> Tile {
+        Tile { lanes: None, channels, pixels: 8, workgroup: 32 }
+    }
+
+    /// 5 outputs of 6 channels by a 1 × 2 kernel in tiles of 4: output o of channel i at tap t is
+    /// 100o + 10i + t + 1.
+    #[test]
+    fn weights_lie_as_they_are_read() {
+        let weight = Tensor::from_fn([5, 6, 1, 2], |at| {
+            let (o, i, tap) = (at / 12, at / 2 % 6, at % 2);
+            (100 * o + 10 * i + tap + 1) as f32
+        });
+        let form = Form { taps: Taps::One, spacing: 1, quads: 1 };
+        let packed = pack_weight(&weight, &form, &tile(4), [8, 4]);
+        assert_eq!(packed.dims(), [4, 8, 4]);
+        let texel = |at: usize| packed.data()[at * 4..][..4].to_vec();
+        // Tile 0, quad 0: the outputs of the first tap, then those of the second.
+        assert_eq!(texel(0), [1.0, 11.0, 21.0, 31.0]);
+        assert_eq!(texel(3), [301.0, 311.0, 321.0, 331.0]);
+        assert_eq!(texel(4), [2.0, 12.0, 22.0, 32.0]);
+        // Quad 1 has two channels; tile 1 has one output.
+        assert_eq!(texel(8), [41.0, 51.0, 0.0, 0.0]);
+        assert_eq!(texel(16), [401.0, 411.0, 421.0, 431.0]);
+        assert_eq!(texel(17), [0.0; 4]);
+        assert_eq!(texel(28), [442.0, 452.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn blocks_are_padded_with_zeros() {
+        let weight = Tensor::from_fn([1, 4, 1, 1], |_| 1.0);
+        let form = Form { taps: Taps::One, spacing: 1, quads: 8 };
+        let packed = pack_weight(&weight, &form, &tile(4), [32, 1]);
+        let ones: Vec<usize> = (0..128).filter(|at| packed.data()[*at] != 0.0).collect();
+        assert_eq!(ones, [0, 1, 2, 3]);
+    }
+
+    #[test]
+    fn kernels_of_three_by_three_share_their_inputs() {
+        let of = |kernel, stride, dilation, in_c| {
+            Form::of(&Conv2d { stride, dilation, ..Conv2d::default() }, in_c, kernel, kernel)
+        };
+        let form = |taps, spacing, quads| Form { taps, spacing, quads };
+        assert_eq!(of(3, 1, 1, 64), form(Taps::Three, 1, 4));
+        assert_eq!(of(3, 1, 2, 256), form(Taps::Three, 2, 4));
+        assert_eq!(of(3, 1, 5, 256), form(Taps::One, 1, 4));
+        assert_eq!(of(3, 2, 1, 64), form(Taps::ThreeOfStrideTwo, 1, 4));
+        assert_eq!(of(3, 2, 2, 64), form(Taps::One, 1, 4));
+        assert_eq!(of(7, 2, 1, 3), form(Taps::One, 1, 1));
+        assert_eq!(of(1, 2, 1, 64), form(Taps::One, 1, 8));
+    }
+
+    /// 64 channels of a pixel lie in 16 × 16 texels, 4096 bytes. To as many they are summed in two parts.
+    #[test]
+    fn all_parts_fit_a_buffer() {
+        let fits = |manner, buffer_bytes| {
+            let caps = Caps { buffer_bytes, ..Caps::default() }.with_subgroups([32, 32]);
+            let inputs = [TensorSpec::f32([64, 1, 1]), TensorSpec::f32([64, 64, 1, 1])];
+            Direct(manner).fits(&Work {
+                node: 0,
+                op: &Conv2d { bias: false, ..Conv2d::default() },
+                inputs: &inputs,
+                known: &[false, true],
+                outputs: &[TensorSpec::f32([64, 1, 1])],
+                batch: 1,
+                precision: Precision::F32,
+                caps: &caps,
+            })
+        };
+        assert!(fits(Manner::Split, 8192) && !fits(Manner::Split, 8191));
+        assert!(fits(Manner::Whole, 4096) && !fits(Manner::Whole, 4095));
+    }
+
+    /// Cut into parts, a sum is no deeper than whole.
+    #[test]
+    fn parts_make_sums_no_deeper() {
+        for blocks in 1u64..200 {
+            for splits in 2..=MOST_SPLITS {
+                let each = blocks.div_ceil(splits);
+                let splits = blocks.div_ceil(each);
+                assert!(each - 1 + splits - 1 < blocks, "{blocks} in {splits}");
+            }
+        }
+    }
+}

@@ -1,0 +1,12 @@
+//! What holds a device to the reference, and what times it.
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`check`] | each kernel on a device against its reference, case by case |
+//! | [`comparison`] | the whole network on a device, by operation and by outcome, against the reference |
+//! | [`profile`], [`tune`] | where a graph's time goes on a device; which kernels are fastest on it |
+
+pub mod check;
+pub mod comparison;
+pub mod profile;
+pub mod tune;

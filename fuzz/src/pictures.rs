@@ -1,7 +1,7 @@
 //! Pictures: any bytes end with a picture within the limits, or with an error.
 
+use smr_gpu::engine::shape::MAX_PIXELS;
 use smr_gpu::picture::{self, Error};
-use smr_gpu::smr::MAX_PIXELS;
 
 /// Decodes the bytes, and a PNG once more with its checksums put right.
 pub fn run(data: &[u8]) {

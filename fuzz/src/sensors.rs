@@ -1,6 +1,6 @@
 //! Sensor files: any bytes end with a sensor whose every value is in its range, or with an error.
 
-use smr_gpu::smr::MAX_PIXELS;
+use smr_gpu::engine::shape::MAX_PIXELS;
 use smr_gpu::{Sensor, files};
 
 /// Reads the bytes, and checks what the reader promises.

@@ -12,13 +12,13 @@ use crate::engine::lower::Choice;
 use crate::engine::ops::{Contact, CropResize};
 use crate::engine::precision::Precision;
 use crate::engine::reference::{ContactRule, Crop, contact, crop_resize};
+use crate::engine::shape::MAX_PIXELS;
 use crate::engine::shape::{Extent, TensorSpec};
 use crate::engine::tensor::{Tensor, Value};
 use crate::error::Result;
 use crate::sensor::frame::Frame;
 use crate::sensor::rect::Rect;
 use crate::sensor::view::View;
-use crate::smr::MAX_PIXELS;
 
 /// Side of a cell in millimetres.
 const CELL_MM: f64 = 0.5;

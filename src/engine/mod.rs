@@ -3,7 +3,9 @@
 //!
 //! | module | what it holds |
 //! |---|---|
+//! | `lock`, `cores`, `milliseconds` | locks, threads, how times are serialised |
 //! | [`shape`], [`tensor`], [`precision`] | shapes, tensors in host memory, how a GPU stores them: f32 or f16 |
+//! | [`pixel_order`] | which bytes of a pixel are which colour |
 //! | [`reference`] | each operation from its definition, with f64 sums |
 //! | [`ops`] | each operation: parameters, shape check, error bound, cases |
 //! | [`graph`] | operations over named tensors |
@@ -28,6 +30,7 @@ pub mod lower;
 #[cfg(feature = "serde")]
 pub(crate) mod milliseconds;
 pub mod ops;
+pub mod pixel_order;
 pub mod precision;
 pub mod reference;
 pub mod shader;

@@ -4,6 +4,11 @@ use std::fmt;
 
 use crate::error::{Error, Result};
 
+/// Bytes of the largest tensor: what every device can bind.
+pub(crate) const MAX_BYTES: u64 = 128 << 20;
+/// Pixels of the largest picture: as RGBA8 they fill [`MAX_BYTES`].
+pub const MAX_PIXELS: usize = MAX_BYTES as usize / 4;
+
 /// Dimensions of a dense row-major tensor, outermost first.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Default)]
 pub struct Shape(pub Vec<usize>);

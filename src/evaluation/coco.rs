@@ -13,12 +13,12 @@ use serde::{Deserialize, Deserializer};
 use serde_json::Value;
 use serde_path_to_error::Segment;
 
+use crate::engine::shape::MAX_PIXELS;
 use crate::evaluation::metrics::Truth;
 use crate::files;
 use crate::sensor::frame::Frame;
 use crate::sensor::rect::Rect;
 use crate::sensor::scale::{Gel, Scale};
-use crate::smr::MAX_PIXELS;
 
 /// How far a box may reach past its picture, in pixels: tools round.
 const MARGIN: f64 = 1.0;

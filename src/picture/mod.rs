@@ -27,8 +27,8 @@ use std::path::Path;
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageError};
 
+use crate::engine::shape::MAX_PIXELS;
 use crate::files;
-use crate::smr::MAX_PIXELS;
 pub use jpeg::MAX_SCANS;
 
 /// Most bytes of a picture as it is stored: [`MAX_PIXELS`] of four channels of 16 bits, and 64 MiB.

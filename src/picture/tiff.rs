@@ -17,7 +17,7 @@ use tiff::tags::{
 use weezl::{BitOrder, LzwStatus};
 
 use super::{Error, Format, check_size, from_16, upright};
-use crate::smr::MAX_PIXELS;
+use crate::engine::shape::MAX_PIXELS;
 
 /// Most bytes of all strips or tiles without compression: [`MAX_PIXELS`] of eight channels of 16
 /// bits, or of four in tiles that reach beyond the picture.

@@ -7,13 +7,14 @@
 use std::borrow::Cow;
 use std::fmt;
 
+use crate::engine::pixel_order::PixelOrder;
 use crate::engine::reference::Crop;
+use crate::engine::shape::MAX_PIXELS;
 use crate::engine::tensor::Tensor;
 use crate::error::{Error, Result};
 use crate::sensor::pixel_format::PixelFormat;
 use crate::sensor::rect::Rect;
 use crate::sensor::scale::{Gel, Scale};
-use crate::smr::MAX_PIXELS;
 
 /// A picture in memory.
 ///
@@ -102,12 +103,24 @@ impl<'a> Frame<'a> {
             let expected = format!("a part of {width} × {height} pixels");
             return Err(Error::param("frame", "crop", expected, part));
         }
+        let block = self.format.block();
+        if !width.is_multiple_of(block[0]) || !height.is_multiple_of(block[1]) {
+            let expected =
+                format!("a multiple of {} × {} for {:?}", block[0], block[1], self.format);
+            return Err(Error::param("frame", "size", expected, format!("{width} × {height}")));
+        }
         let row = u64::from(width) * self.format.bytes_per_pixel() as u64;
-        if (self.stride as u64) < row {
+        if row > 0 && (self.stride as u64) < row {
             let expected = format!("at least {row} bytes");
             return Err(Error::param("frame", "stride", expected, self.stride));
         }
-        let bytes = (self.stride as u64).saturating_mul(u64::from(height - 1)).saturating_add(row);
+        let rows = match self.format {
+            // Colour differences lie below.
+            PixelFormat::Nv12 => u64::from(height) + u64::from(height / 2),
+            _ => u64::from(height),
+        };
+        let bytes = (self.stride as u64).saturating_mul(rows - 1).saturating_add(row);
+        let bytes = if row == 0 { 1 } else { bytes };
         if (self.data.len() as u64) < bytes {
             let expected = format!("at least {bytes} bytes");
             return Err(Error::param("frame", "data", expected, self.data.len()));
@@ -118,9 +131,10 @@ impl<'a> Frame<'a> {
     /// The bytes of this checked frame in which `part` lies, and the crop that shows all of it in its own
     /// size; `None` where pixels do not follow one another as in a picture, or are more than [`MAX_PIXELS`].
     pub(crate) fn own_bytes(&self, part: Rect) -> Option<(&[u8], Crop)> {
-        let each = self.format.bytes_per_pixel();
+        let order = self.format.order()?;
+        let each = order.bytes();
         let [x, top, columns, rows] = [part.x, part.y, part.width, part.height].map(|n| n as usize);
-        if self.format.is_mosaic() || !self.stride.is_multiple_of(each) {
+        if !self.stride.is_multiple_of(each) {
             return None;
         }
         // Whole rows, which the last one need not be.
@@ -129,44 +143,68 @@ impl<'a> Frame<'a> {
             return None;
         }
         let (width, resized) = (self.stride / each, [columns, rows]);
-        let (height, y, window, format) = (rows, 0, [0; 2], self.format);
-        let crop = Crop { width, height, x, y, columns, rows, resized, window, format };
+        let (height, y, window) = (rows, 0, [0; 2]);
+        let crop = Crop { width, height, x, y, columns, rows, resized, window, order };
         Some((bytes, crop))
     }
 
     /// The bytes of a part of a checked frame, four a word, and the crop that shows all of it in its own
-    /// size. A Bayer pattern becomes RGB here: what a shader does for it alone, it does for all on a software
-    /// adapter.
+    /// size. What does not stand for itself becomes RGB here: what a shader does for it alone, it does for all on
+    /// a software adapter.
     ///
     /// # Errors
-    /// [`Error::Capacity`] for more than [`MAX_PIXELS`].
+    /// [`Error::Capacity`] for more than [`MAX_PIXELS`]; [`Error::Picture`] for a JPEG file that is damaged or
+    /// has another size.
     pub(crate) fn bytes(&self, part: Rect) -> Result<(Tensor<u32>, Crop)> {
         let needed = u64::from(part.width) * u64::from(part.height);
         if needed > MAX_PIXELS as u64 {
             let what = format!("pixels of {} × {}", part.width, part.height);
             return Err(Error::Capacity { what, needed, available: MAX_PIXELS as u64 });
         }
+        #[cfg(feature = "picture")]
+        if self.format == PixelFormat::Mjpeg {
+            return self.decoded()?.bytes(part);
+        }
         let [left, top, width, height] =
             [part.x, part.y, part.width, part.height].map(|n| n as usize);
-        let format = if self.format.is_mosaic() { PixelFormat::Rgb8 } else { self.format };
-        let row = width * format.bytes_per_pixel();
+        let own = self.format.order();
+        let order = own.unwrap_or(PixelOrder::Rgb8);
+        let row = width * order.bytes();
         let mut words = vec![0u32; (row * height).div_ceil(4)];
         let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut words);
         for (y, to) in (top..top + height).zip(bytes.chunks_exact_mut(row)) {
-            if self.format.is_mosaic() {
+            if own.is_none() {
                 let size = [self.width, self.height].map(|n| n as usize);
                 for (x, to) in (left..).zip(to.as_chunks_mut::<3>().0) {
-                    *to = self.format.interpolated(&self.data, self.stride, size, [x, y]);
+                    *to = self.format.converted(&self.data, self.stride, size, [x, y]);
                 }
             } else {
-                let first = y * self.stride + left * format.bytes_per_pixel();
+                let first = y * self.stride + left * order.bytes();
                 to.copy_from_slice(&self.data[first..][..row]);
             }
         }
         let (columns, rows) = (width, height);
         let (resized, window) = ([columns, rows], [0; 2]);
-        let crop = Crop { width, height, x: 0, y: 0, columns, rows, resized, window, format };
+        let crop = Crop { width, height, x: 0, y: 0, columns, rows, resized, window, order };
         Ok((Tensor::new([words.len()], words)?, crop))
+    }
+}
+
+#[cfg(feature = "picture")]
+impl Frame<'_> {
+    /// The frame in RGB whose data is a JPEG file.
+    ///
+    /// # Errors
+    /// [`Error::Picture`] for a damaged file, and one of another width or height.
+    fn decoded(&self) -> Result<Frame<'static>> {
+        let fail = |message: String| Error::Picture { file: "picture".into(), message };
+        let picture = crate::picture::decode(&self.data).map_err(|e| fail(e.to_string()))?;
+        let (width, height) = (picture.width(), picture.height());
+        if (width, height) != (self.width, self.height) {
+            let Self { width: wide, height: high, .. } = self;
+            return Err(fail(format!("expected {wide} × {high} pixels, got {width} × {height}")));
+        }
+        Ok(Frame::new(picture.into_rgb8().into_raw(), width, height, PixelFormat::Rgb8))
     }
 }
 
@@ -237,7 +275,13 @@ mod tests {
         let data: Vec<u8> = (0..240).collect();
         let whole = |frame: &Frame| Rect { x: 0, y: 0, width: frame.width, height: frame.height };
         let inner = Rect { x: 1, y: 2, width: 3, height: 2 };
-        for format in PixelFormat::OWN_COLOURS {
+        for format in [
+            PixelFormat::Rgb8,
+            PixelFormat::Bgr8,
+            PixelFormat::Rgba8,
+            PixelFormat::Bgra8,
+            PixelFormat::Gray8,
+        ] {
             let each = format.bytes_per_pixel();
             for padding in [0, each, 3 * each] {
                 let frame = Frame::new(&data, 5, 5, format).stride(5 * each + padding);

@@ -34,10 +34,10 @@ pub use scale::{Gel, Origin, Scale};
 
 use serde::{Deserialize, Serialize};
 
+use crate::engine::shape::MAX_PIXELS;
 use crate::error::{Error, Result};
 use crate::files;
 use crate::sensor::scale::MM_PER_PIXEL;
-use crate::smr::MAX_PIXELS;
 
 /// Shortest and longest field of view in millimetres along the gel's longer side: what the weights are
 /// trained for.

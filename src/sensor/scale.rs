@@ -21,6 +21,8 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result};
 use crate::sensor::rect::Rect;
 
+/// Side of the paper's gel in millimetres: what a picture shows of which nothing else is known.
+pub(crate) const PAPER_MM: f32 = 40.0;
 /// Millimetres a pixel: from 60 mm on 65 535 pixels to 10 mm on 16.
 pub(crate) const MM_PER_PIXEL: [f32; 2] = [5e-4, 1.0];
 

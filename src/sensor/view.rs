@@ -3,9 +3,9 @@
 
 use crate::error::{Error, Result};
 use crate::sensor::rect::Rect;
+use crate::sensor::scale::PAPER_MM;
 use crate::sensor::scale::{Gel, Origin, Scale};
 use crate::sensor::{FIELD_MM, Lens, Sensed, Sensor};
-use crate::smr::PAPER_MM;
 
 /// A frame of the paper's shape whose stated scale is further than this share from that of the paper's
 /// is another sensor's, and which part of it is gel is not known from its shape.

@@ -16,8 +16,8 @@ use super::look::{Flat, Housing, Light, Look};
 use super::optics::{Channel, Shading};
 use crate::picture;
 use crate::sensor::rect::Rect;
+use crate::sensor::scale::PAPER_MM;
 use crate::sensor::{Sensed, Sensor};
-use crate::smr::PAPER_MM;
 
 /// Levels of a housing that nothing shows.
 const DARK: f32 = 8.0;

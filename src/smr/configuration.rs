@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::engine::ops::{MEAN, STD};
+use crate::sensor::scale::PAPER_MM;
 
 /// Most classes: 100 proposals in each must fit the 1024 boxes of one non-maximum suppression.
 const MAX_CLASSES: usize = 10;
@@ -29,8 +30,6 @@ const MAX_CHANNELS: usize = 4096;
 const MAX_BLOCKS: usize = 64;
 /// Temperatures.
 const TEMPERATURE: [f32; 2] = [1e-2, 1e2];
-/// Side of the paper's gel in millimetres: what a picture shows of which nothing else is known.
-pub(crate) const PAPER_MM: f32 = 40.0;
 
 /// Configuration of a network, kept as JSON under `config` in the weight file's metadata; its format
 /// is 2. `weights/README.md` has each key, and those of format 1, which is read too.

@@ -9,7 +9,6 @@ mod roi_head;
 mod rpn;
 mod weights;
 
-pub(crate) use configuration::PAPER_MM;
 pub use configuration::{ModelConfig, Variant};
 pub use roi_head::Wanted;
 pub use weights::{MAX_FILE, Weights};
@@ -20,16 +19,12 @@ use cbam::POOLED;
 use crate::engine::graph::{Graph, TensorId};
 use crate::engine::ops::{CropResize, Nms, NotFinite};
 use crate::engine::reference::Crop;
-use crate::engine::shape::{Extent, TensorSpec};
+use crate::engine::shape::{Extent, MAX_BYTES, MAX_PIXELS, TensorSpec};
 use crate::error::{Error, Result};
 
-/// Bytes of the largest tensor: what every device can bind.
-const MOST_BYTES: u64 = 128 << 20;
 /// Most multiplications, each with an addition, that a network may ask for at the size of the paper's gel, and as
 /// many more as an input is larger: some seven times those of the large network. They take cores a second.
 pub const MOST_WORK: u64 = 64_000_000_000;
-/// Pixels of the largest picture: as RGBA8 they fill that.
-pub const MAX_PIXELS: usize = MOST_BYTES as usize / 4;
 
 /// What of a weight file serves the deepest scale alone.
 const DEEPEST: [&str; 4] =
@@ -175,9 +170,9 @@ impl Network {
         }
         for id in graph.computed() {
             let (name, spec) = (graph.name(id), graph.spec(id));
-            if spec.bytes() > MOST_BYTES {
+            if spec.bytes() > MAX_BYTES {
                 let what = format!("bytes for tensor `{name}` ({spec})");
-                let (needed, available) = (spec.bytes(), MOST_BYTES);
+                let (needed, available) = (spec.bytes(), MAX_BYTES);
                 return Err(Error::Capacity { what, needed, available });
             }
         }

@@ -3,11 +3,11 @@
 use crate::engine::ops::case::{Case, random_integers, values};
 use crate::engine::ops::op::{EPS, Entry, Op, Tolerance, dims, expect};
 use crate::engine::ops::params::{Param, Params as Named, Range, Settings};
+use crate::engine::pixel_order::PixelOrder;
 use crate::engine::reference::{self, Crop};
 use crate::engine::shape::{DType, TensorSpec};
 use crate::engine::tensor::{Tensor, Value};
 use crate::error::{Error, Result};
-use crate::sensor::pixel_format::PixelFormat;
 
 /// This operation in [`crate::engine::ops::OPS`].
 pub static ENTRY: Entry = Entry {
@@ -62,9 +62,9 @@ impl Crop {
     ///
     /// # Errors
     /// [`Error::Tensor`] if the crop is empty, larger than the shader can address, or not inside the
-    /// picture, or shows a Bayer pattern; [`Error::Capacity`] if the picture's bytes are more than the buffer's.
+    /// picture; [`Error::Capacity`] if the picture's bytes are more than the buffer's.
     pub fn to_tensor(&self, capacity: usize) -> Result<Tensor<u32>> {
-        let Self { width, height, x, y, columns, rows, resized, window, format } = *self;
+        let Self { width, height, x, y, columns, rows, resized, window, order } = *self;
         let inside = |at: usize, length: usize, all: usize| {
             (1..=MAX_SIDE).contains(&length) && at <= all && length <= all - at
         };
@@ -82,22 +82,14 @@ impl Crop {
                 return Err(Error::tensor(ENTRY.name, "crop", expected, got));
             }
         }
-        let words = (width as u64 * height as u64 * format.bytes_per_pixel() as u64).div_ceil(4);
+        let words = (width as u64 * height as u64 * order.bytes() as u64).div_ceil(4);
         if words > capacity as u64 {
             let what = format!("words for a {width}×{height} picture");
             return Err(Error::Capacity { what, needed: words, available: capacity as u64 });
         }
         let [w, h] = resized;
         let [left, top] = window;
-        let number = PixelFormat::OWN_COLOURS.iter().position(|known| *known == format);
-        let number = number.ok_or_else(|| {
-            Error::tensor(
-                ENTRY.name,
-                "crop",
-                "pixels that stand for themselves",
-                format!("{format:?}"),
-            )
-        })?;
+        let number = PixelOrder::ALL.iter().take_while(|known| **known != order).count();
         let numbers = [width, height, x, y, columns, rows, w, h, left, top, number];
         Ok(Tensor::from_fn([Crop::WORDS], |i| numbers[i] as u32))
     }
@@ -109,11 +101,11 @@ impl Crop {
     pub(crate) fn from_tensor(words: &Tensor<u32>, capacity: usize) -> Result<Self> {
         let [width, height, x, y, columns, rows, w, h, left, top, number] =
             std::array::from_fn(|i| words.data()[i] as usize);
-        let format = PixelFormat::OWN_COLOURS.get(number).copied().ok_or_else(|| {
+        let order = PixelOrder::ALL.get(number).copied().ok_or_else(|| {
             Error::tensor(ENTRY.name, "crop", "a pixel format from 0 to 4", number)
         })?;
         let (resized, window) = ([w, h], [left, top]);
-        let crop = Self { width, height, x, y, columns, rows, resized, window, format };
+        let crop = Self { width, height, x, y, columns, rows, resized, window, order };
         crop.to_tensor(capacity).map(|_| crop)
     }
 }
@@ -195,8 +187,8 @@ impl Op for CropResize {
             row.as_chunks().0.iter().map(word).collect::<Vec<_>>()
         });
         let distance = Tensor::new([crop.columns * crop.rows], distances.collect())?;
-        let (width, height, format) = (crop.columns, crop.rows, PixelFormat::Rgba8);
-        let all = Crop { x: 0, y: 0, width, height, format, ..crop };
+        let (width, height, order) = (crop.columns, crop.rows, PixelOrder::Rgba8);
+        let all = Crop { x: 0, y: 0, width, height, order, ..crop };
         let size = [self.height, self.width];
         let resized = reference::crop_resize(&distance, all, size, [0.0; 3], [1.0; 3]);
         let taps = |side: usize, size: usize| (2 * side.div_ceil(size) + 1).min(side);
@@ -362,12 +354,12 @@ fn cases() -> Vec<Case> {
         [[2, 0, 4, 2], [1, 5, 3, 1], [0, 4, 2, 0]],
         [[0, 1, 2, 3]; 3],
     ];
-    for ((number, format), fifths) in (0..).zip(PixelFormat::OWN_COLOURS).zip(by_hand) {
+    for ((number, format), fifths) in (0..).zip(PixelOrder::ALL).zip(by_hand) {
         let want: Vec<f32> = fifths.as_flattened().iter().map(|n| *n as f32 / 5.0).collect();
         let inputs = vec![bytes.clone(), in_format([2, 2, 0, 0, 2, 2, 2, 2, 0, 0], number)];
         let case = Case::new(format!("{format:?} by hand"), sized(2), inputs);
         cases.push(case.by_hand(vec![values([3, 2, 2], &want)]));
-        let words = (61 * 47 * format.bytes_per_pixel()).div_ceil(4);
+        let words = (61 * 47 * format.bytes()).div_ceil(4);
         let noise = random_integers(u64::from(number), [words], u32::MAX);
         let op = CropResize { width: 23, height: 17, mean, std };
         let inputs = vec![noise, in_format([61, 47, 1, 2, 60, 45, 23, 17, 0, 0], number)];
@@ -378,7 +370,7 @@ fn cases() -> Vec<Case> {
     // of a fifth, green 5, 0, 1 and 3, blue 3, 5, 0 and 1. Which byte is which colour, by format:
     let bytes_of: [&[usize]; 5] = [&[0, 1, 2], &[2, 1, 0], &[0, 1, 2, 0], &[2, 1, 0, 0], &[0]];
     let fifths: [[u8; 3]; 5] = [[2, 4, 4], [0, 5, 3], [1, 0, 5], [3, 1, 0], [5, 3, 1]];
-    for ((number, format), order) in (0..).zip(PixelFormat::OWN_COLOURS).zip(bytes_of) {
+    for ((number, format), order) in (0..).zip(PixelOrder::ALL).zip(bytes_of) {
         let bytes = fifths.iter().flat_map(|of| order.iter().map(|colour| 51 * of[*colour]));
         let bytes: Vec<u8> = bytes.collect();
         let word = |at: usize| {

@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use crate::engine::cores::each;
+use crate::engine::pixel_order::PixelOrder;
 use crate::engine::tensor::Tensor;
-use crate::sensor::pixel_format::PixelFormat;
 
 /// A part of a picture, what it is resized to, and which window of that is wanted. All in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,8 +26,8 @@ pub struct Crop {
     /// Column and row of the resized part at which the output begins. Past its right and lower edge
     /// the output repeats them.
     pub window: [usize; 2],
-    /// What the picture's bytes mean; no Bayer pattern.
-    pub format: PixelFormat,
+    /// Which of a pixel's bytes are which colour.
+    pub order: PixelOrder,
 }
 
 impl Crop {
@@ -45,7 +45,7 @@ impl Crop {
             rows: side,
             resized: [size; 2],
             window: [0; 2],
-            format: PixelFormat::Rgba8,
+            order: PixelOrder::Rgba8,
         }
     }
 
@@ -59,9 +59,9 @@ impl Crop {
         row: usize,
         converted: &'a mut [[u8; 3]],
     ) -> &'a [u8] {
-        let each = self.format.bytes_per_pixel();
+        let each = self.order.bytes();
         let first = (self.y + row) * self.width + self.x + columns.start;
-        self.format.rgb(&bytes[first * each..][..columns.len() * each], converted)
+        self.order.rgb(&bytes[first * each..][..columns.len() * each], converted)
     }
 
     /// What output column and row `0..count` along `axis` (0 is x) see of the part.

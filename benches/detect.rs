@@ -4,7 +4,7 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use image::{DynamicImage, RgbImage};
 use smr_gpu::engine::gpu::AdapterChoice;
-use smr_gpu::{Config, Device, Frame, GpuDetector, Scene};
+use smr_gpu::{Config, Device, Frame, GpuDetector, Savings};
 
 /// Pictures that are given together.
 const MANY: usize = 8;
@@ -20,13 +20,13 @@ fn detect(criterion: &mut Criterion) {
             Config::new(concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors"));
         config.device = device;
         // A ramp touches nothing.
-        config.scene = Scene::FULL;
+        config.savings = Savings::NONE;
         let detector = GpuDetector::new(config).expect("a detector");
         group.bench_function(name, |b| b.iter(|| detector.detect(&picture).expect("detections")));
         if name == "adapter" {
             let frames: Vec<Frame> = (0..MANY).map(|_| Frame::from(&picture)).collect();
             let alone = || {
-                let found = frames.iter().map(|frame| detector.detect_frame(frame));
+                let found = frames.iter().map(|frame| detector.detect(frame));
                 found.for_each(|found| drop(found.expect("detections")));
             };
             group.bench_function("one by one", |b| b.iter(alone));

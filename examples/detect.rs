@@ -7,7 +7,8 @@ use smr_gpu::{Config, GpuDetector, picture};
 fn main() -> Result<(), Box<dyn Error>> {
     let file = std::env::args().nth(1).ok_or("expected a picture's file name")?;
     // Built once: it opens the GPU, compiles the shaders and uploads the weights.
-    let detector = GpuDetector::new(Config::new("weights/smrnet.safetensors").score(0.5))?;
+    let detector =
+        GpuDetector::new(Config { score: 0.5, ..Config::new("weights/smrnet.safetensors") })?;
 
     let found = detector.detect(&picture::read(file)?)?;
     for snap in &found.detections {

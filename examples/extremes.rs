@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Parser;
 use extremes::{Outcome, apart, changed, extremes, outcome, pixels};
-use smr_gpu::{Config, Device, GpuDetector, Scene};
+use smr_gpu::{Config, Device, GpuDetector, Savings};
 
 #[derive(Parser)]
 struct Args {
@@ -45,11 +45,14 @@ fn main() -> Result<(), Box<dyn Error>> {
         let (pixels, size) = pixels(extreme.picture, &usual);
         let bytes = changed(&weights, extreme.weights);
         let look = |device: &Device| -> Result<Outcome, Box<dyn Error>> {
-            let mut config =
-                Config::from_bytes(extreme.name, bytes.clone()).score(0.5).device(device.clone());
+            let mut config = Config {
+                score: 0.5,
+                device: device.clone(),
+                ..Config::from_bytes(extreme.name, bytes.clone())
+            };
             config.input_size = extreme.size.or(args.size);
             // Nothing touches a black picture.
-            config.scene = Scene::FULL;
+            config.savings = Savings::NONE;
             Ok(outcome(&GpuDetector::new(config)?, &pixels, size))
         };
         let outcomes: Vec<Outcome> = args.device.iter().map(look).collect::<Result<_, _>>()?;

@@ -27,6 +27,7 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use smr_gpu::engine::gpu::{Gpu, GpuOptions};
 use smr_gpu::engine::ops::{Case, Entry, Expected};
+use smr_gpu::verify;
 use smr_gpu::verify::check::check_expected;
 use smr_gpu::{Config, Frame, GpuDetector};
 
@@ -214,7 +215,7 @@ impl Cases {
 }
 
 fn run(mutants: &[Mutant], first: usize, args: &Args) -> Result<(), Box<dyn Error>> {
-    let options = GpuOptions { checked: true, timeout: RUN, ..GpuOptions::default() };
+    let options = GpuOptions { bounds_checks: true, timeout: RUN, ..GpuOptions::default() };
     let gpu = pollster::block_on(Gpu::open(options))?;
     let mut cases: HashMap<&str, Cases> = HashMap::new();
     let sample = sample(mutants, args);
@@ -319,7 +320,7 @@ fn differs(gpu: &Arc<Gpu>) -> Result<Option<bool>, Box<dyn Error>> {
     config.score = 0.5;
     let picture = image::open(root.join("samples/mixed.png"))?;
     let detector = pollster::block_on(GpuDetector::on_device(gpu.clone(), config))?;
-    Ok(match detector.compare(&Frame::from(&picture)) {
+    Ok(match verify::compare(&detector, &Frame::from(&picture)) {
         Ok(found) => Some(found.failures().next().is_some()),
         Err(smr_gpu::Error::Timeout { .. }) => None,
         Err(_) => Some(true),

@@ -15,7 +15,7 @@ use std::path::PathBuf;
 
 use smr_gpu::Precision;
 use smr_gpu::engine::kernels::{Caps, Kind};
-use smr_gpu::engine::lower::Choice;
+use smr_gpu::engine::lower::KernelChoice;
 use smr_gpu::smr::{Network, Wanted, Weights};
 use smr_gpu::verify::profile::{Cost, costs};
 
@@ -103,7 +103,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("|---|--:|--:|--:|{}--:|--:|", "--:|".repeat(COLUMNS.len()));
     for class in &CLASSES {
         let caps = Caps { kind: class.kind, ..Caps::default() }.with_subgroups(class.subgroups);
-        let costs = costs(&network.graph, &caps, &Choice::default(), Precision::F32)?;
+        let costs = costs(&network.graph, &caps, &KernelChoice::default(), Precision::F32)?;
         let mut columns = [0.0; COLUMNS.len() + 1];
         for cost in &costs {
             let of = |(_, shaders): &(_, &[&str])| shaders.contains(&cost.kernel.as_str());

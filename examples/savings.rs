@@ -1,4 +1,4 @@
-//! What each saving of a [`Scene`] costs and gains over labelled pictures, beside the whole network.
+//! What each saving of a [`Savings`] costs and gains over labelled pictures, beside the whole network.
 //!
 //! ```sh
 //! smr-gpu simulate --out out/mixed --count 60 --seed 2003 --kind mixed
@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 use clap::Parser;
 use smr_gpu::evaluation::coco::{Dataset, Picture};
 use smr_gpu::evaluation::metrics::quantile;
-use smr_gpu::{Config, Detections, Device, GpuDetector, Scene};
+use smr_gpu::{Config, Detections, Device, GpuDetector, Savings};
 
 use labelled::{Best, SCORE, best, center_mm, distance};
 
@@ -41,17 +41,17 @@ struct Args {
     /// Times are shares of this other network's, all of it.
     #[arg(long)]
     beside: Option<PathBuf>,
-    /// [`Scene::margin_mm`], one or several.
-    #[arg(long, value_delimiter = ',', default_values_t = [Scene::FULL.margin_mm])]
+    /// [`Savings::margin_mm`], one or several.
+    #[arg(long, value_delimiter = ',', default_values_t = [Savings::NONE.margin_mm])]
     margin: Vec<f32>,
     /// Of the ways to save those whose names begin so; all of them by default.
     #[arg(long)]
     way: Vec<String>,
-    /// [`Scene::most_proposals`].
-    #[arg(long, default_value_t = Scene::FULL.most_proposals)]
+    /// [`Savings::most_proposals`].
+    #[arg(long, default_value_t = Savings::NONE.most_proposals)]
     most_proposals: usize,
-    /// [`Scene::doubt`].
-    #[arg(long, default_value_t = Scene::FULL.doubt)]
+    /// [`Savings::doubt`].
+    #[arg(long, default_value_t = Savings::NONE.doubt)]
     doubt: f32,
     /// Of each folder the first so many.
     #[arg(long, default_value_t = usize::MAX, hide_default_value = true)]
@@ -121,26 +121,31 @@ impl Group {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let args = Args::parse();
-    let way = |name: &str, weights: &Path, scene: Scene| -> Result<Way, Box<dyn Error>> {
+    let way = |name: &str, weights: &Path, savings: Savings| -> Result<Way, Box<dyn Error>> {
         let (most_proposals, doubt) = (args.most_proposals, args.doubt);
-        let scene = Scene { most_proposals, doubt, ..scene };
-        let config = Config::new(weights).device(args.device.clone()).scene(scene).score(SCORE);
+        let savings = Savings { most_proposals, doubt, ..savings };
+        let config =
+            Config { device: args.device.clone(), savings, score: SCORE, ..Config::new(weights) };
         let detector = GpuDetector::new(config)?;
         Ok(Way { name: name.to_owned(), detector, looks: Vec::new(), snaps: Vec::new() })
     };
     let own = &args.weights;
     let mut ways = vec![
-        way("nothing left out", own, Scene::FULL)?,
-        way("`contact`", own, Scene { contact: true, ..Scene::FULL })?,
-        way("`proposals`", own, Scene { proposals: true, ..Scene::FULL })?,
-        way("`scales`", own, Scene { scales: true, ..Scene::FULL })?,
-        way("default", own, Scene::default())?,
-        way("default and `scales`", own, Scene { scales: true, ..Scene::default() })?,
+        way("nothing left out", own, Savings::NONE)?,
+        way("`contact`", own, Savings { contact: true, ..Savings::NONE })?,
+        way("`proposals`", own, Savings { proposals: true, ..Savings::NONE })?,
+        way("`scales`", own, Savings { scales: true, ..Savings::NONE })?,
+        way("default", own, Savings::default())?,
+        way("default and `scales`", own, Savings { scales: true, ..Savings::default() })?,
     ];
     for margin_mm in &args.margin {
         let [parts, all] = ["`regions`", "all four"].map(|name| format!("{name}, {margin_mm} mm"));
-        ways.push(way(&parts, own, Scene { margin_mm: *margin_mm, regions: true, ..Scene::FULL })?);
-        ways.push(way(&all, own, Scene { margin_mm: *margin_mm, ..Scene::SAVING })?);
+        ways.push(way(
+            &parts,
+            own,
+            Savings { margin_mm: *margin_mm, regions: true, ..Savings::NONE },
+        )?);
+        ways.push(way(&all, own, Savings { margin_mm: *margin_mm, ..Savings::ALL })?);
     }
     let wanted = |name: &str| args.way.iter().any(|way| name.trim_matches('`').starts_with(way));
     let mut number = 0;
@@ -149,7 +154,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         number == 1 || args.way.is_empty() || wanted(&way.name)
     });
     if let Some(other) = &args.beside {
-        ways.push(way("the other network, nothing left out", other, Scene::FULL)?);
+        ways.push(way("the other network, nothing left out", other, Savings::NONE)?);
     }
     let base = if args.beside.is_some() { ways.len() - 1 } else { 0 };
     let mut truths = Vec::new();
@@ -195,9 +200,9 @@ fn look(
 ) -> Result<(), Box<dyn Error>> {
     let frame = labelled::frame(folder, labelled)?;
     for (number, way) in ways.iter_mut().enumerate() {
-        let mut found = way.detector.detect_frame(&frame)?;
+        let mut found = way.detector.detect(&frame)?;
         if !once {
-            let again = way.detector.detect_frame(&frame)?;
+            let again = way.detector.detect(&frame)?;
             if again.wall < found.wall {
                 found = again;
             }

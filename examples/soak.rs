@@ -16,7 +16,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let frames = counts.next().unwrap_or(Ok(10_000))?;
     let losses = counts.next().unwrap_or(Ok(1000))?;
     let faults = Faults::default();
-    let mut config = Config::new("weights/smrnet.safetensors").input_size(64);
+    let mut config = Config { input_size: Some(64), ..Config::new("weights/smrnet.safetensors") };
     config.device = Device::Gpu(Default::default());
     config.faults = Some(faults.clone());
     let detector = GpuDetector::new(config)?;
@@ -37,7 +37,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     for done in 1..=losses {
         faults.fail(Call::Submit, 0, Fault::Lost);
-        detector.detect_frame(&picture(done))?;
+        detector.detect(picture(done))?;
         tell("lost devices", done, losses);
     }
     Ok(())

@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use smr_gpu::{Config, Detections, Device, Frame, GpuDetector, PixelFormat, Scene, picture};
+use smr_gpu::{Config, Detections, Device, Frame, GpuDetector, PixelFormat, Savings, picture};
 
 const EACH: usize = 10;
 const APART: Duration = Duration::from_millis(100);
@@ -36,7 +36,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let large = Frame::new(large.into_raw(), 4000, 4000, PixelFormat::Rgb8)
         .scale(smr_gpu::Scale::stated(0.01));
     let detectors = weights.iter().map(|weights| {
-        GpuDetector::new(Config::new(weights).device(Device::Cpu).scene(Scene::FULL))
+        GpuDetector::new(Config {
+            device: Device::Cpu,
+            savings: Savings::NONE,
+            ..Config::new(weights)
+        })
     });
     let detectors: Vec<GpuDetector> = detectors.collect::<Result<_, _>>()?;
     let mut times = vec![[(); WAYS.len()].map(|()| Vec::new()); detectors.len()];
@@ -68,7 +72,7 @@ fn look(
 ) -> Result<Vec<f64>, smr_gpu::Error> {
     let look = |_| {
         let start = Instant::now();
-        let found: Detections = detector.detect_frame(frame)?;
+        let found: Detections = detector.detect(frame)?;
         let took = start.elapsed();
         black_box(found);
         thread::sleep(apart.saturating_sub(took));

@@ -1,4 +1,4 @@
-//! Frames of a press through [`GpuDetector::detect_stream`], beside the whole network at each of them.
+//! Frames of a press through a [`CachingDetector`], beside the whole network at each of them.
 //!
 //! ```sh
 //! smr-gpu simulate --out out/press --count 500 --seed 2006 --kind a --press
@@ -14,10 +14,11 @@ mod labelled;
 
 use std::error::Error;
 use std::path::Path;
+use std::sync::Arc;
 
 use smr_gpu::evaluation::coco::Dataset;
 use smr_gpu::evaluation::metrics::quantile;
-use smr_gpu::{Config, Detections, Device, Frame, GpuDetector, Scene};
+use smr_gpu::{CachingDetector, Config, Detections, Device, Frame, GpuDetector, Savings};
 
 use labelled::{Best, SCORE, best, center_mm, distance};
 
@@ -35,16 +36,20 @@ fn main() -> Result<(), Box<dyn Error>> {
         "| | ms, median | 95 % | longest | reused | no contact | in parts | found | false | centre, mm | largest |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|");
-    for (name, scene) in [("every frame whole", Scene::FULL), ("stream", Scene::SAVING)] {
-        let config = Config::new(weights).device(device.clone()).scene(scene).score(SCORE);
-        let detector = GpuDetector::new(config)?;
+    for (name, savings) in [("every frame whole", Savings::NONE), ("stream", Savings::ALL)] {
+        let config =
+            Config { device: device.clone(), savings, score: SCORE, ..Config::new(weights) };
+        let detector = Arc::new(GpuDetector::new(config)?);
         // Builds what the sizes need, as the first frames of a stream would.
         for frame in frames.iter().step_by(10) {
-            detector.detect_frame(frame)?;
+            detector.detect(frame)?;
         }
-        let found: Vec<Detections> = match scene == Scene::FULL {
-            true => frames.iter().map(|f| detector.detect_frame(f)).collect::<Result<_, _>>()?,
-            false => detector.detect_stream(frames.iter().cloned()).collect::<Result<_, _>>()?,
+        let found: Vec<Detections> = match savings == Savings::NONE {
+            true => frames.iter().map(|f| detector.detect(f)).collect::<Result<_, _>>()?,
+            false => {
+                let mut camera = CachingDetector::new(detector.clone());
+                frames.iter().map(|f| camera.detect(f)).collect::<Result<_, _>>()?
+            }
         };
         print(name, &found, &data);
     }

@@ -17,7 +17,8 @@ use std::time::Instant;
 
 use safetensors::tensor::{Dtype, TensorView};
 use smr_gpu::engine::tensor::Value;
-use smr_gpu::{Config, Device, Frame, GpuDetector, Scene, picture};
+use smr_gpu::verify;
+use smr_gpu::{Config, Device, Frame, GpuDetector, Savings, picture};
 
 /// What the fourth argument's file holds, of what the network has.
 const TENSORS: [&str; 7] = [
@@ -36,7 +37,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Err("expected DEVICE WEIGHTS PICTURE [TENSORS.safetensors]".into());
     };
     let device: Device = device.to_str().ok_or("expected a device")?.parse()?;
-    let config = Config::new(weights).device(device).scene(Scene::FULL);
+    let config = Config { device, savings: Savings::NONE, ..Config::new(weights) };
     let picture = picture::read(file)?;
     let frame = Frame::from(&picture);
     if let [file] = tensors {
@@ -51,7 +52,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for line in std::io::stdin().lock().lines() {
         line?;
         let start = Instant::now();
-        let found = detector.detect_frame(&frame)?;
+        let found = detector.detect(&frame)?;
         let ms = start.elapsed().as_secs_f64() * 1e3;
         let line = serde_json::json!({
             "ms": ms, "stages": found.stages, "detections": found.detections.len()
@@ -64,7 +65,8 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// Writes [`TENSORS`] from a run of their own: keeping them costs memory.
 fn write_tensors(file: &OsStr, config: Config, frame: &Frame) -> Result<(), Box<dyn Error>> {
-    let (_, stages) = GpuDetector::new(config.keep_stages(true))?.detect_with_stages(frame)?;
+    let (_, stages) =
+        verify::stages(&GpuDetector::new(Config { keep_stages: true, ..config })?, frame)?;
     let mut views = HashMap::new();
     for (name, value) in &stages {
         if TENSORS.contains(&name.as_str()) && matches!(value, Value::F32(_)) {

@@ -20,7 +20,7 @@
 //!
 //! # Features
 //! A program that embeds the detector and has its pictures in memory needs none of these
-//! (`default-features = false`): [`GpuDetector::detect_frame`] takes a camera's bytes.
+//! (`default-features = false`): [`GpuDetector::detect`] takes a camera's bytes.
 //!
 //! | feature | what it adds |
 //! |---|---|
@@ -71,7 +71,7 @@ pub mod smr;
 pub mod verify;
 
 pub use detector::{
-    Comparison, Config, Detection, Detections, Device, GpuDetector, Scene, Stream, WeightSource,
+    CachingDetector, Config, Detection, Detections, Device, GpuDetector, Savings, WeightSource,
 };
 pub use engine::precision::Precision;
 pub use error::{Error, Result};

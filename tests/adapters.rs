@@ -12,10 +12,11 @@ use std::sync::Arc;
 
 use smr_gpu::engine::gpu::Gpu;
 use smr_gpu::engine::kernels::{Caps, Kind};
-use smr_gpu::engine::lower::{Choice, works};
+use smr_gpu::engine::lower::{KernelChoice, works};
 use smr_gpu::engine::shader::Replacement;
+use smr_gpu::engine::tuned::{Place, Tuned};
 use smr_gpu::smr::{Network, Wanted, Weights};
-use smr_gpu::verify::tune::{Place, Tuned};
+use smr_gpu::verify;
 use smr_gpu::{Config, Device, Frame, GpuDetector, Precision};
 
 const LARGE: &str = "weights/smrnet.safetensors";
@@ -38,7 +39,7 @@ fn kernels(network: &Network, op: &str, caps: &Caps) -> BTreeSet<&'static str> {
     let mut found = BTreeSet::new();
     let each = |work: &smr_gpu::engine::kernels::Work| {
         if work.op.name() == op {
-            found.insert(Choice::default().kernel(work)?.id());
+            found.insert(KernelChoice::default().kernel(work)?.id());
         }
         Ok(())
     };
@@ -90,16 +91,18 @@ fn a_choice_of_unknown_kernels_is_told_of() {
         ("conv2d stride=1", "conv2d/planar", None),
     ] {
         let by_shape = [(key.to_owned(), kernel.to_owned())].into();
-        let choice = Choice { by_shape, ..Choice::default() };
-        let tuned = Tuned { place: Place::of(gpu), choice };
+        let kernels = KernelChoice { by_shape, ..KernelChoice::default() };
+        let tuned = Tuned { place: Place::of(gpu), kernels };
         std::fs::write(&file_of_choice, tuned.to_json()).expect("written");
-        let mut config = Config::new(file(SMALL)).input_size(64);
-        config.choices = Some(folder.path().into());
+        let mut config = Config { input_size: Some(64), ..Config::new(file(SMALL)) };
+        config.tuned_kernels = Some(folder.path().into());
         let on = GpuDetector::on_device(gpu.clone(), config.clone());
         let remarks = pollster::block_on(on).expect("a detector").remarks();
-        let detector = GpuDetector::new(config.device(Device::Reference)).expect("a detector");
+        let detector =
+            GpuDetector::new(Config { device: Device::Reference, ..config }).expect("a detector");
         let mut measured = Vec::new();
-        detector.profile(gpu, 1, |remark| measured.push(remark)).expect("times");
+        verify::laboratory::profile(&detector, gpu, 1, |remark| measured.push(remark))
+            .expect("times");
         assert_eq!(remarks, measured);
         match told {
             Some(told) => assert!(remarks.len() == 1 && remarks[0].contains(told), "{remarks:?}"),
@@ -111,11 +114,11 @@ fn a_choice_of_unknown_kernels_is_told_of() {
 /// Boxes within their bounds, and every operation within its own.
 #[track_caller]
 fn holds(what: &str, gpu: Arc<Gpu>, weights: &str, forced: &[&str]) {
-    let mut config = Config::new(file(weights)).keep_stages(true);
-    config.choice.forced = forced.iter().map(|id| (*id).to_owned()).collect();
+    let mut config = Config { keep_stages: true, ..Config::new(file(weights)) };
+    config.kernels.forced = forced.iter().map(|id| (*id).to_owned()).collect();
     let detector = pollster::block_on(GpuDetector::on_device(gpu, config)).expect("a detector");
     let picture = image::open(file("samples/mixed.png")).expect("a sample");
-    let comparison = detector.compare(&Frame::from(&picture)).expect("a comparison");
+    let comparison = verify::compare(&detector, &Frame::from(&picture)).expect("a comparison");
     println!("{what}: {:?}", comparison.shift);
     assert_eq!(comparison.failures().collect::<Vec<_>>(), [""; 0], "{what}");
     let (found, expected) = (&comparison.found.detections, &comparison.expected.detections);

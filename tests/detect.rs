@@ -114,7 +114,7 @@ fn one_detector_serves_threads_and_pictures_of_any_size() {
     image::imageops::replace(&mut wide, &picture.to_rgb8(), 120, 0);
     let wide = image::DynamicImage::from(wide);
     let part = Rect { x: 120, y: 0, width: side, height: side };
-    let moved = detector.detect_frame(&Frame::from(&wide).crop(part)).expect("detections");
+    let moved = detector.detect(Frame::from(&wide).crop(part)).expect("detections");
     assert_eq!(first.detections.len(), moved.detections.len());
     for (a, b) in first.detections.iter().zip(&moved.detections) {
         assert_eq!((&a.class, a.score), (&b.class, b.score));
@@ -149,8 +149,8 @@ fn a_frame_gives_what_its_picture_gives() {
     }
     let gel = Gel::Part(Rect { x: left, y: top, width: side, height: side });
     let frame = Frame::new(&data, 1100, height, PixelFormat::Bgr8).stride(stride).gel(gel);
-    let want = detector.detect(&picture.into()).expect("detections").detections;
-    let found = detector.detect_frame(&frame).expect("detections");
+    let want = detector.detect(&image::DynamicImage::from(picture)).expect("detections").detections;
+    let found = detector.detect(&frame).expect("detections");
     assert_eq!((found.width, found.height), (1100, height));
     assert!(!want.is_empty());
     assert_eq!(found.detections.len(), want.len());
@@ -164,7 +164,7 @@ fn a_frame_gives_what_its_picture_gives() {
         let off = [0, 1].map(|i| (a.center_mm[i] - b.center_mm[i]).abs());
         assert!(off.iter().all(|mm| *mm < 1e-4), "{a:?} {b:?}");
     }
-    let error = detector.detect_frame(&Frame::new(&data[..9], 2, 2, PixelFormat::Rgb8));
+    let error = detector.detect(Frame::new(&data[..9], 2, 2, PixelFormat::Rgb8));
     assert!(matches!(error, Err(Error::Param { ref param, .. }) if param == "data"), "{error:?}");
 }
 
@@ -219,7 +219,7 @@ fn impossible_configurations_are_refused() {
 /// Between two kernels the CPU looks at the clock; how long one may take is no part of a test.
 #[test]
 fn the_cpu_is_held_to_the_time_limit() {
-    let config = config().device(Device::Cpu).timeout(std::time::Duration::ZERO);
+    let config = Config { device: Device::Cpu, timeout: std::time::Duration::ZERO, ..config() };
     let detector = GpuDetector::new(config).expect("a detector");
     let picture = image::open(file("samples/mixed.png")).expect("a sample");
     let error = detector.detect(&picture).expect_err("a limit");
@@ -239,8 +239,9 @@ fn a_borrowed_frame_shows_what_a_copied_one_does() {
     for (to, from) in apart.chunks_exact_mut(row + 1).zip(picture.as_raw().chunks_exact(row)) {
         to[..row].copy_from_slice(from);
     }
-    let detector = GpuDetector::new(config().device(Device::Cpu)).expect("a detector");
-    let look = |frame: &Frame| detector.detect_frame(frame).expect("detections");
+    let detector =
+        GpuDetector::new(Config { device: Device::Cpu, ..config() }).expect("a detector");
+    let look = |frame: &Frame| detector.detect(frame).expect("detections");
     let borrowed = look(&Frame::new(picture.as_raw(), width, height, PixelFormat::Rgb8));
     let copied = Frame::new(&apart, width, height, PixelFormat::Rgb8).stride(row + 1);
     let copied = look(&copied);

@@ -19,7 +19,7 @@ const EACH: usize = 25;
 fn config() -> Config {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let config = Config::new(root.join("weights/smrnet-s.safetensors"));
-    config.input_size(96).score(0.001).in_flight(4)
+    Config { input_size: Some(96), score: 0.001, in_flight: 4, ..config }
 }
 
 /// Pictures with different snaps.
@@ -109,6 +109,6 @@ fn the_cpu_gives_the_same_bits_on_any_number_of_threads() {
 
 #[test]
 fn the_cpu_gives_the_same_bits() {
-    let new = || GpuDetector::new(config().device(Device::Cpu)).expect("a detector");
+    let new = || GpuDetector::new(Config { device: Device::Cpu, ..config() }).expect("a detector");
     same_bits(&new(), &[new(), new()]);
 }

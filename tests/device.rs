@@ -269,12 +269,13 @@ fn a_detector_runs_on_a_programs_own_device() {
     let (device, queue) = foreign(wgpu::Limits::default());
     let gpu = Gpu::from_device(device, queue, Duration::from_secs(120)).expect("a GPU");
     let weights = concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors");
-    let config = smr_gpu::Config::new(weights).input_size(64).score(0.0);
+    let config =
+        smr_gpu::Config { input_size: Some(64), score: 0.0, ..smr_gpu::Config::new(weights) };
     let detector = pollster::block_on(smr_gpu::GpuDetector::on_device(gpu, config));
     let pixels: Vec<u8> =
         (0..80u32 * 70).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
     let frame = smr_gpu::Frame::new(pixels, 80, 70, smr_gpu::PixelFormat::Gray8);
-    let found = detector.expect("a detector").detect_frame(&frame).expect("a detection");
+    let found = detector.expect("a detector").detect(&frame).expect("a detection");
     assert!(!found.detections.is_empty(), "{found:?}");
     // Without timestamps only what the host does has a time.
     let stages: Vec<_> = found.stages.iter().map(|time| time.stage.as_str()).collect();

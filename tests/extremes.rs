@@ -9,7 +9,7 @@ mod extremes;
 use std::path::Path;
 
 use extremes::{Outcome, apart, changed, extremes, outcome, pixels};
-use smr_gpu::{Config, Device, GpuDetector, Scene};
+use smr_gpu::{Config, Device, GpuDetector, Savings};
 
 /// Where it shows first, of those that must not come to an end.
 const LOST: &[(&str, &str)] = &[
@@ -30,10 +30,10 @@ fn all_end_finite_or_say_where_they_did_not() {
         let mut config = Config::from_bytes(name, changed(&weights, extreme.weights));
         config.input_size = Some(extreme.size.unwrap_or(96));
         // Nothing touches a black picture.
-        config.scene = Scene::FULL;
+        config.savings = Savings::NONE;
         let on_gpu = GpuDetector::on_device(support::gpu().clone(), config.clone());
         let gpu = pollster::block_on(on_gpu).expect("a detector");
-        let cpu = GpuDetector::new(config.device(Device::Cpu)).expect("a detector");
+        let cpu = GpuDetector::new(Config { device: Device::Cpu, ..config }).expect("a detector");
         let (pixels, size) = pixels(extreme.picture, &usual);
         let of = |detector| outcome(detector, &pixels, size);
         let expected = LOST.iter().find(|(of, _)| *of == name).map(|(_, stage)| *stage);

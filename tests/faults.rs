@@ -12,7 +12,7 @@ use smr_gpu::engine::ops::case::random;
 use smr_gpu::engine::ops::{Conv2d, MaxPool2d};
 use smr_gpu::engine::shape::{Extent, TensorSpec};
 use smr_gpu::engine::tensor::Value;
-use smr_gpu::{Config, Detection, Device, Error, Frame, GpuDetector, PixelFormat, Scene};
+use smr_gpu::{Config, Detection, Device, Error, Frame, GpuDetector, PixelFormat, Savings};
 
 const WEIGHTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors");
 
@@ -173,7 +173,13 @@ fn a_slot_waits_for_a_late_run_no_longer_than_it_may() {
 /// The network at its smallest, and nothing before it.
 fn config(change: impl FnOnce(Config) -> Config) -> Config {
     let gpu = Device::Gpu(AdapterChoice::Auto);
-    change(Config::new(WEIGHTS).device(gpu).input_size(64).score(0.0).scene(Scene::FULL))
+    change(Config {
+        device: gpu,
+        input_size: Some(64),
+        score: 0.0,
+        savings: Savings::NONE,
+        ..Config::new(WEIGHTS)
+    })
 }
 
 fn with_faults(faults: &Faults, change: impl FnOnce(Config) -> Config) -> Config {
@@ -192,7 +198,7 @@ fn frame(width: u32, height: u32, seed: u32) -> Frame<'static> {
 }
 
 fn detect(detector: &GpuDetector, frame: &Frame) -> smr_gpu::Result<Vec<Detection>> {
-    detector.detect_frame(frame).map(|found| found.detections)
+    detector.detect(frame).map(|found| found.detections)
 }
 
 /// First, middle and last.
@@ -244,10 +250,10 @@ fn a_detection_that_fails_leaves_the_next_right() {
 fn a_look_for_contact_that_fails_leaves_the_next_right() {
     let _one = alone();
     let faults = Faults::default();
-    let change = |c: Config| c.scene(Scene { contact: true, ..Scene::FULL });
+    let change = |c: Config| Config { savings: Savings { contact: true, ..Savings::NONE }, ..c };
     let detector = GpuDetector::new(with_faults(&faults, change)).expect("a detector");
     let frame = frame(80, 70, 1);
-    let found = detector.detect_frame(&frame).expect("a detection");
+    let found = detector.detect(&frame).expect("a detection");
     assert!(found.contact == Some(true) && !found.detections.is_empty());
     for call in [Call::Submit, Call::Map] {
         for fault in kinds(call) {
@@ -269,7 +275,8 @@ fn a_look_for_contact_that_fails_leaves_the_next_right() {
 fn a_detector_that_cannot_be_built_says_why() {
     let _one = alone();
     let faults = Faults::default();
-    let build = || GpuDetector::new(with_faults(&faults, |c| c.rebuild_on_loss(false)));
+    let build =
+        || GpuDetector::new(with_faults(&faults, |c| Config { rebuild_on_loss: false, ..c }));
     faults.watch();
     let detector = build().expect("a detector");
     let counts = Call::ALL.map(|call| (call, faults.calls(call)));
@@ -296,7 +303,7 @@ fn a_lost_device_is_replaced_where_that_is_wanted_and_allowed() {
     let faults = Faults::default();
     let frame = frame(80, 70, 1);
     let lose = || faults.fail(Call::Submit, 0, Fault::Lost);
-    let stays = GpuDetector::new(with_faults(&faults, |c| c.rebuild_on_loss(false)));
+    let stays = GpuDetector::new(with_faults(&faults, |c| Config { rebuild_on_loss: false, ..c }));
     let stays = stays.expect("a detector");
     let want = detect(&stays, &frame).expect("a detection");
     lose();
@@ -315,7 +322,8 @@ fn a_lost_device_is_replaced_where_that_is_wanted_and_allowed() {
     let again = pollster::block_on(GpuDetector::on_device(gpu, config(|c| c)));
     check(again, Fault::Lost, "a detector on a lost device");
     // Many that lose their device together get one new one.
-    let detector = GpuDetector::new(with_faults(&faults, |c| c.in_flight(4))).expect("a detector");
+    let detector = GpuDetector::new(with_faults(&faults, |c| Config { in_flight: 4, ..c }))
+        .expect("a detector");
     lose();
     std::thread::scope(|scope| {
         let found: Vec<_> = (0..4).map(|_| scope.spawn(|| detect(&detector, &frame))).collect();
@@ -338,7 +346,7 @@ fn a_time_limit_counts_from_the_call_and_says_what_it_waited_for() {
     drop(patient);
     // Long enough for a run on a machine with other work.
     let limit = Duration::from_secs(3).max(20 * start.elapsed());
-    let change = |c: Config| c.timeout(limit).in_flight(1);
+    let change = |c: Config| Config { timeout: limit, in_flight: 1, ..c };
     let detector = GpuDetector::new(with_faults(&faults, change)).expect("a detector");
     // Past the limits of this call and the next two, which begin while it waits or thereafter.
     faults.fail(Call::Map, 0, Fault::Late(limit * 5));

@@ -143,7 +143,9 @@ fn imports_run_one_way() {
             let lines = text.split("pub use ").skip(1).chain(text.split("pub(crate) use ").skip(1));
             let lines = lines.chain(text.split("pub(super) use ").skip(1));
             let mut names = BTreeSet::new();
-            lines.for_each(|line| drop(collect(line, Vec::new(), &mut names)));
+            for line in lines {
+                collect(line, Vec::new(), &mut names);
+            }
             let pair = |path: Vec<String>| Some((path.last()?.clone(), path.first()?.clone()));
             (&path[..], names.into_iter().filter_map(pair).collect())
         })

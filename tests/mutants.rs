@@ -16,7 +16,7 @@ use smr_gpu::verify::check::{Selection, Target, check, check_expected, rows};
 fn gpu() -> &'static Arc<Gpu> {
     static DEVICE: OnceLock<Arc<Gpu>> = OnceLock::new();
     DEVICE.get_or_init(|| {
-        let options = GpuOptions { checked: true, ..GpuOptions::default() };
+        let options = GpuOptions { bounds_checks: true, ..GpuOptions::default() };
         pollster::block_on(Gpu::open(options)).expect("a Vulkan adapter")
     })
 }
@@ -79,25 +79,25 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "half of the tiles must be calm, not a quarter",
-        file: "contact",
+        file: "contact_map",
         changes: &[("if 4u * below >= params.tiles", "if 2u * below >= params.tiles")],
-        op: "contact",
+        op: "contact_map",
         case: "a quarter is calm by hand",
         by_hand: true,
     },
     Fault {
         what: "one channel is enough for an overexposed cell",
-        file: "contact",
+        file: "contact_map",
         changes: &[("lowest = min(lowest, cells[c * area", "lowest = max(lowest, cells[c * area")],
-        op: "contact",
+        op: "contact_map",
         case: "one channel overexposed by hand",
         by_hand: true,
     },
     Fault {
         what: "what equals the limit is contact",
-        file: "contact",
+        file: "contact_map",
         changes: &[("if of_tile[at * 32u + bit] > most", "if of_tile[at * 32u + bit] >= most")],
-        op: "contact",
+        op: "contact_map",
         case: "a spot of 8 by hand",
         by_hand: true,
     },

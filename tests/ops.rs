@@ -11,8 +11,8 @@ mod box_voting;
 mod channel_gate;
 #[path = "ops/channel_pool.rs"]
 mod channel_pool;
-#[path = "ops/contact.rs"]
-mod contact;
+#[path = "ops/contact_map.rs"]
+mod contact_map;
 #[path = "ops/conv2d.rs"]
 mod conv2d;
 #[path = "ops/crop_resize.rs"]
@@ -58,13 +58,13 @@ fn bounds_checks_change_no_bit() {
     use smr_gpu::engine::gpu::{Gpu, GpuOptions};
     use smr_gpu::engine::ops::OPS;
     use smr_gpu::verify::check::run_each;
-    let options = GpuOptions { checked: true, ..GpuOptions::default() };
-    let checked = pollster::block_on(Gpu::open(options)).expect("an adapter");
+    let options = GpuOptions { bounds_checks: true, ..GpuOptions::default() };
+    let bounds_checks = pollster::block_on(Gpu::open(options)).expect("an adapter");
     let mut different = Vec::new();
     for case in OPS.iter().flat_map(|entry| (entry.cases)()) {
         let inputs: Vec<_> = case.inputs.iter().collect();
         let run = |gpu| run_each(gpu, &case).expect("a run");
-        let (with, without) = (run(&checked), run(support::gpu()));
+        let (with, without) = (run(&bounds_checks), run(support::gpu()));
         assert_eq!(with.len(), without.len(), "{}: the kernels that fit", case.name);
         for ((kernel, with), (_, without)) in with.iter().zip(&without) {
             let defined = case.op.defined(&without.iter().collect::<Vec<_>>(), &inputs);

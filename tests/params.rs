@@ -6,7 +6,7 @@ use smr_gpu::Error;
 use smr_gpu::Precision;
 use smr_gpu::engine::graph::Graph;
 use smr_gpu::engine::kernels::Caps;
-use smr_gpu::engine::lower::{Choice, Request, lower};
+use smr_gpu::engine::lower::{KernelChoice, Request, lower};
 use smr_gpu::engine::ops::{Case, Entry, OPS, Op, Params};
 use smr_gpu::engine::tensor::Value;
 
@@ -103,10 +103,10 @@ fn host(op: Box<dyn Op>, inputs: &[Value]) -> Result<(), Error> {
     let ids: Vec<_> = named.map(|(name, value)| graph.constant(name, value.clone())).collect();
     let outputs = graph.apply_shared("op", op.clone(), &ids)?;
     outputs.iter().for_each(|id| graph.mark_output(*id));
-    let (caps, choice) = (Caps::default().with_subgroups([8, 8]), Choice::default());
+    let (caps, kernels) = (Caps::default().with_subgroups([8, 8]), KernelChoice::default());
     lower(
         &graph,
-        &Request { keep: &[], batch: 1, precision: Precision::F32, caps: &caps, choice: &choice },
+        &Request { keep: &[], batch: 1, precision: Precision::F32, caps: &caps, kernels: &kernels },
     )?;
     op.reference(&inputs.iter().collect::<Vec<_>>()).map(|_| ())
 }

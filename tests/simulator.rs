@@ -8,6 +8,7 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64;
 use smr_gpu::Sensor;
 use smr_gpu::simulator::Error;
+use smr_gpu::simulator::appearance::Sideways;
 use smr_gpu::simulator::calibrate::{self, Ball};
 use smr_gpu::simulator::camera::{Camera, NormalTable};
 use smr_gpu::simulator::conditions::{Conditions, UNIT_CONTRAST};
@@ -15,17 +16,16 @@ use smr_gpu::simulator::contact::{Contact, NO_BODY, Stop, solve};
 use smr_gpu::simulator::dataset::{Progress, Settings, Step, scene_seed, simulate};
 use smr_gpu::simulator::distractors::{Distractor, Drive, Part};
 use smr_gpu::simulator::forced::Forced;
-use smr_gpu::simulator::frame::{FIELD_MM, Frame};
 use smr_gpu::simulator::gel::{Elasticity, Grid, Layer};
 use smr_gpu::simulator::given::Given;
 use smr_gpu::simulator::label::{LEAST_IMPRINT_MM, Label, imprints, visible_share};
 use smr_gpu::simulator::lamps::Lamps;
-use smr_gpu::simulator::look::Sideways;
 use smr_gpu::simulator::markers::Markers;
 use smr_gpu::simulator::optics::{
     Fit, NORMAL_TERMS, POSITION_TERMS, Shading, TERMS, measured_sensors, normal_terms,
     position_terms,
 };
+use smr_gpu::simulator::raster::{FIELD_MM, Raster};
 use smr_gpu::simulator::render::{GRID, Rendered, Renderer, Request, STOP, contact_grid};
 use smr_gpu::simulator::scene::{Body, Mix, Placed, Scene};
 use smr_gpu::simulator::shadow::{Ray, cast};
@@ -33,8 +33,8 @@ use smr_gpu::simulator::smooth;
 use smr_gpu::simulator::snaps::{Kind, Snap, Stud};
 use smr_gpu::simulator::surface::Surface;
 
-const PICTURE_PX: usize = Frame::PAPER.width;
-const MM_PER_PX: f64 = Frame::PAPER.mm_per_pixel;
+const PICTURE_PX: usize = Raster::PAPER.width;
+const MM_PER_PX: f64 = Raster::PAPER.mm_per_pixel;
 const GEL_MM: f64 = PICTURE_PX as f64 * MM_PER_PX;
 /// The whole of a plain picture.
 const WINDOW: [f64; 4] = [0.0, 0.0, 1000.0, 1000.0];
@@ -916,7 +916,7 @@ fn plain_pictures_stay_what_they_are() {
     for PlainPicture { mix, seed, levels, boxes } in pictures {
         let seed = seed.parse().expect("a seed");
         let rendered = renderer.render(seed, &Request::plain(mix)).expect("a picture");
-        assert!(rendered.conditions.plain && rendered.frame == Frame::PAPER);
+        assert!(rendered.conditions.plain && rendered.frame == Raster::PAPER);
         for (n, &level) in levels.iter().enumerate() {
             let (x, y) = (61 + 125 * (n as u32 % 8), 61 + 125 * (n as u32 / 8));
             let found = rendered.picture.get_pixel(x, y).0[n % 3];
@@ -935,7 +935,7 @@ fn plain_pictures_stay_what_they_are() {
 
 #[test]
 fn a_lens_bends_places_and_back() {
-    let frame = Frame { width: 640, height: 480, mm_per_pixel: 0.05 };
+    let frame = Raster { width: 640, height: 480, mm_per_pixel: 0.05 };
     let camera = Camera { frame, distortion: 0.1, ..Camera::default() };
     // A corner lies half a diagonal from the middle: it shows what lies 1.1 times as far.
     let [x, y] = camera.flat_place(640.0, 480.0);
@@ -959,7 +959,7 @@ fn a_lens_bends_places_and_back() {
 
 #[test]
 fn a_lens_without_blur_changes_nothing() {
-    let camera = Camera { frame: Frame::GELSIGHT_MINI, blur_px: 0.0, ..Camera::default() };
+    let camera = Camera { frame: Raster::GELSIGHT_MINI, blur_px: 0.0, ..Camera::default() };
     let mut plane: Vec<f32> = (0..320 * 240).map(|i| (i % 7) as f32).collect();
     let sharp = plane.clone();
     camera.blur(&mut plane, &mut Vec::new());
@@ -980,10 +980,10 @@ fn what_a_sensor_states_is_not_forced() {
 #[test]
 fn a_contact_s_grid_covers_its_field() {
     for (frame, gel) in [
-        (Frame::PAPER, [44.0, 44.0]),
-        (Frame::GELSIGHT_MINI, [24.3, 19.2]),
-        (Frame { width: 800, height: 600, mm_per_pixel: 0.0125 }, [14.0, 11.5]),
-        (Frame { width: 640, height: 480, mm_per_pixel: 0.09375 }, [64.0, 49.0]),
+        (Raster::PAPER, [44.0, 44.0]),
+        (Raster::GELSIGHT_MINI, [24.3, 19.2]),
+        (Raster { width: 800, height: 600, mm_per_pixel: 0.0125 }, [14.0, 11.5]),
+        (Raster { width: 640, height: 480, mm_per_pixel: 0.09375 }, [64.0, 49.0]),
     ] {
         let grid = contact_grid(&frame, gel);
         let side = grid.cells as f64 * grid.spacing_mm;
@@ -1241,7 +1241,7 @@ fn lookalikes_have_no_label_and_can_be_drawn_alone() {
             Request { part: Some(part), forced: forced.clone(), ..Request::wide(Mix::None) };
         let rendered = renderer.render(3, &request).expect("a picture");
         assert!(rendered.labels.is_empty(), "{part:?}");
-        assert_eq!(rendered.frame, Frame::GELSIGHT_MINI);
+        assert_eq!(rendered.frame, Raster::GELSIGHT_MINI);
         assert_eq!(rendered.picture.dimensions(), (320, 240));
         let rng = &mut Pcg64::seed_from_u64(3);
         let scene =
@@ -1272,7 +1272,7 @@ fn wide_pictures_are_as_their_labels_say() {
         let again = Renderer::new().render(seed, &Request::wide(Mix::Mixed)).expect("a picture");
         assert!(rendered.picture == again.picture, "seed {seed} gives two pictures");
         assert_eq!(rendered.labels, again.labels);
-        let Frame { width, height, mm_per_pixel } = rendered.frame;
+        let Raster { width, height, mm_per_pixel } = rendered.frame;
         assert_eq!(rendered.picture.dimensions(), (width as u32, height as u32));
         let [left, top, right, bottom] = rendered.conditions.window;
         for label in &rendered.labels {
@@ -1400,7 +1400,7 @@ fn conditions_keep_to_their_ranges() {
         assert!((-1.0..=1.0).contains(&c.colour) && c.distortion.abs() <= 0.12);
         assert!((2.5..=6.0).contains(&c.gel_mm) && (28.0..=48.0).contains(&c.snr_db));
         let mut tell = |name, is: bool| *strong.entry(name).or_insert(0u64) += u64::from(is);
-        tell("paper's frame", frame == Frame::PAPER);
+        tell("paper's frame", frame == Raster::PAPER);
         tell("markers", c.markers_mm > 0.0);
         tell("shadows", c.shadows > 0.0);
         tell("strength", c.strength > 2.0);

@@ -8,15 +8,16 @@ use std::path::{Path, PathBuf};
 use image::DynamicImage;
 use smr_gpu::engine::cpu::CpuPlan;
 use smr_gpu::engine::gpu::{AdapterChoice, Gpu, GpuOptions, ProgramOptions, Slot};
-use smr_gpu::engine::lower::Choice;
+use smr_gpu::engine::lower::KernelChoice;
 use smr_gpu::engine::ops::Crop;
 use smr_gpu::engine::tensor::{Tensor, Value};
 use smr_gpu::simulator::dataset;
 use smr_gpu::simulator::render::{Renderer, Request};
 use smr_gpu::simulator::scene::Mix;
 use smr_gpu::smr::{ModelConfig, Network, Variant, Wanted, Weights};
+use smr_gpu::verify;
 use smr_gpu::verify::comparison::relative_l2;
-use smr_gpu::{Config, Device, Error, Frame, GpuDetector, Precision, Scene, WeightSource};
+use smr_gpu::{Config, Device, Error, Frame, GpuDetector, Precision, Savings, WeightSource};
 
 /// The bound on each stage's relative L2 error on the pictures of these tests.
 const STAGE_BOUND: f64 = 1e-5;
@@ -74,7 +75,7 @@ fn match_pytorch(weights: &str, fixture: &str) {
             c.mm_per_pixel = Some(0.04);
         });
         let (found, stages) =
-            detector.detect_with_stages(&Frame::from(&picture)).expect("a detection");
+            verify::stages(&detector, &Frame::from(&picture)).expect("a detection");
         let mut compared = 0;
         for (name, view) in golden.iter() {
             if view.dtype() != safetensors::Dtype::F32
@@ -129,7 +130,7 @@ fn match_pytorch(weights: &str, fixture: &str) {
 #[test]
 fn gpu_matches_the_f64_network_on_a_sample() {
     let gpu = detector(Device::Gpu(AdapterChoice::Auto), |_| ());
-    let comparison = gpu.compare(&Frame::from(&first_sample())).expect("a comparison");
+    let comparison = verify::compare(&gpu, &Frame::from(&first_sample())).expect("a comparison");
     assert_eq!(comparison.failures().collect::<Vec<_>>(), [""; 0]);
     let tensors: Vec<_> = comparison.stages.iter().flat_map(|s| &s.tensors).collect();
     assert!(tensors.len() >= 100, "only {} tensors", tensors.len());
@@ -151,7 +152,7 @@ fn gpu_matches_the_f64_network_on_a_sample() {
 #[test]
 fn f16_matches_the_f64_network_on_a_sample() {
     let gpu = detector(Device::Gpu(AdapterChoice::Auto), |c| c.precision = Precision::F16);
-    let comparison = gpu.compare(&Frame::from(&first_sample())).expect("a comparison");
+    let comparison = verify::compare(&gpu, &Frame::from(&first_sample())).expect("a comparison");
     assert_eq!(comparison.failures().collect::<Vec<_>>(), [""; 0]);
     assert_eq!(comparison.found.precision, Precision::F16);
     for stage in &comparison.stages {
@@ -174,11 +175,12 @@ fn f16_with_planar_kernels_among_others_matches_the_f64_network() {
     for id in ["conv2d/planar", "spatial_pool/planar"] {
         let gpu = detector(Device::Gpu(AdapterChoice::Auto), |config| {
             config.precision = Precision::F16;
-            config.choice = Choice::force(id).expect("a kernel");
+            config.kernels = KernelChoice::force(id).expect("a kernel");
             // Rows of 48, 24, 12, 6 and 3 pixels.
             config.input_size = Some(96);
         });
-        let comparison = gpu.compare(&Frame::from(&first_sample())).expect("a comparison");
+        let comparison =
+            verify::compare(&gpu, &Frame::from(&first_sample())).expect("a comparison");
         // What a map loses on its way from planar f32 to quads of f16 is in no operation's own bound; a pixel
         // taken for another is a hundred times as much.
         for stage in &comparison.stages {
@@ -195,9 +197,9 @@ fn where_scores_are_equal_in_f32_their_logits_decide() {
     let picture = image::open(file("samples/stud.png")).expect("a sample");
     let mut corners: Option<[f32; 4]> = None;
     for device in [Device::Reference, Device::Cpu, Device::Gpu(AdapterChoice::Auto)] {
-        let detector = detector(device.clone(), |c| c.scene = Scene::FULL);
+        let detector = detector(device.clone(), |c| c.savings = Savings::NONE);
         let (found, stages) =
-            detector.detect_with_stages(&Frame::from(&picture)).expect("a detection");
+            verify::stages(&detector, &Frame::from(&picture)).expect("a detection");
         let temperature = f64::from(detector.model().temperature);
         let (logits, rest) = floats(&stages, "roi_head.cls_score").as_chunks::<3>();
         assert!(rest.is_empty(), "a background and two classes");
@@ -225,12 +227,14 @@ fn where_scores_are_equal_in_f32_their_logits_decide() {
 /// one side alone and every later row moves.
 #[test]
 fn a_choice_by_rounding_is_no_failure() {
-    let scene = dataset::scene_seed(2004, 5);
-    let rendered = Renderer::new().render(scene, &Request::plain(Mix::None)).expect("a picture");
+    let savings = dataset::scene_seed(2004, 5);
+    let rendered = Renderer::new().render(savings, &Request::plain(Mix::None)).expect("a picture");
     let picture = DynamicImage::from(rendered.picture);
-    let comparison = detector(Device::Gpu(AdapterChoice::Auto), |_| ())
-        .compare(&Frame::from(&picture))
-        .expect("a comparison");
+    let comparison = verify::compare(
+        &detector(Device::Gpu(AdapterChoice::Auto), |_| ()),
+        &Frame::from(&picture),
+    )
+    .expect("a comparison");
     println!("{:?}", comparison.excused().collect::<Vec<_>>());
     assert_eq!(comparison.failures().collect::<Vec<_>>(), [""; 0]);
 }
@@ -307,8 +311,8 @@ fn bounds_checks_change_no_bit() {
         .into();
     let inputs = [(network.picture, &picture), (network.crop, &crop)];
     let keep = network.graph.computed();
-    let run = |checked| {
-        let options = GpuOptions { checked, ..GpuOptions::default() };
+    let run = |bounds_checks| {
+        let options = GpuOptions { bounds_checks, ..GpuOptions::default() };
         let gpu = pollster::block_on(Gpu::open(options)).expect("an adapter");
         let slot = Slot::of(&gpu, &network.graph, &keep, ProgramOptions::default());
         let mut slot = pollster::block_on(slot).expect("a slot");
@@ -420,7 +424,7 @@ fn overflow_is_reported() {
     for (tensor, large, witness) in faults {
         let broken = with_value(tensor, large);
         for device in [Device::Gpu(AdapterChoice::Auto), Device::Cpu] {
-            let mut config = Config::new("unused").device(device);
+            let mut config = Config { device, ..Config::new("unused") };
             config.weights = smr_gpu::WeightSource::Bytes("broken".into(), broken.clone().into());
             config.input_size = Some(64);
             let detector = GpuDetector::new(config).expect("a detector");
@@ -440,8 +444,9 @@ fn overflow_is_reported() {
 fn what_overflows_f16_is_repeated_in_f32() {
     let look = |bytes: &[u8], precision| {
         let config = Config::from_bytes("scaled", bytes.to_vec());
-        let config = config.device(Device::Gpu(AdapterChoice::Auto)).input_size(64);
-        let detector = GpuDetector::new(config.score(0.0).precision(precision));
+        let config =
+            Config { device: Device::Gpu(AdapterChoice::Auto), input_size: Some(64), ..config };
+        let detector = GpuDetector::new(Config { score: 0.0, precision, ..config });
         detector.expect("a detector").detect(&first_sample())
     };
     let large = with_value("backbone.bn1.weight", 1e6);
@@ -461,9 +466,14 @@ fn what_overflows_f16_is_repeated_in_f32() {
 #[test]
 fn an_overflow_that_f64_hides_is_told() {
     let config = Config::from_bytes("scaled", with_value("backbone.bn1.weight", 1e37));
-    let config = config.device(Device::Gpu(AdapterChoice::Auto)).input_size(64).keep_stages(true);
+    let config = Config {
+        device: Device::Gpu(AdapterChoice::Auto),
+        input_size: Some(64),
+        keep_stages: true,
+        ..config
+    };
     let gpu = GpuDetector::new(config).expect("a detector");
-    let error = gpu.compare(&Frame::from(&first_sample())).expect_err("an overflow");
+    let error = verify::compare(&gpu, &Frame::from(&first_sample())).expect_err("an overflow");
     let Error::Overflow { stage, precision, .. } = &error else { panic!("{error}") };
     assert_eq!((stage.as_str(), precision.as_str()), ("backbone.conv1", "f32"));
 }

@@ -2,28 +2,31 @@
 //! one, or an error.
 
 use std::path::Path;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use smr_gpu::detector::MOST_REUSED;
-use smr_gpu::{Config, Detections, Device, Frame, GpuDetector, PixelFormat, Rect};
+use smr_gpu::{CachingDetector, Config, Detections, Device, Frame, GpuDetector, PixelFormat, Rect};
 
 /// Bytes that say what a frame is.
 const WORDS: usize = 8;
 /// Most frames of a run.
 const FRAMES: usize = 2 * MOST_REUSED as usize;
-const FORMATS: [PixelFormat; 6] = [
+const FORMATS: [PixelFormat; 9] = [
     PixelFormat::Gray8,
     PixelFormat::Rgb8,
     PixelFormat::Bgr8,
     PixelFormat::Rgba8,
     PixelFormat::BayerRggb8,
     PixelFormat::BayerGbrg8,
+    PixelFormat::Gray16,
+    PixelFormat::Yuyv,
+    PixelFormat::Nv12,
 ];
 
 /// Shows the detector the frames that the bytes describe.
 pub fn run(data: &[u8]) {
     let detector = detector();
-    let mut stream = detector.stream();
+    let mut stream = CachingDetector::new(detector.clone());
     let mut before: Option<Detections> = None;
     let mut reused = 0;
     for words in data.as_chunks::<WORDS>().0.iter().take(FRAMES) {
@@ -32,7 +35,7 @@ pub fn run(data: &[u8]) {
             Ok(found) => found,
             Err(error) => {
                 assert!(!error.to_string().is_empty());
-                detector.detect_frame(&frame).expect_err("what a stream refuses");
+                detector.detect(&frame).expect_err("what a stream refuses");
                 continue;
             }
         };
@@ -41,7 +44,7 @@ pub fn run(data: &[u8]) {
         assert!(reused <= MOST_REUSED);
         let same = match found.reused {
             true => before.take().expect("an earlier frame"),
-            false => detector.detect_frame(&frame).expect("what a stream takes"),
+            false => detector.detect(&frame).expect("what a stream takes"),
         };
         assert_eq!(found.detections, same.detections);
         assert_eq!([found.width, found.height], [same.width, same.height]);
@@ -51,17 +54,18 @@ pub fn run(data: &[u8]) {
 }
 
 /// One whose input is small enough for hundreds of frames.
-fn detector() -> &'static GpuDetector {
-    static DETECTOR: OnceLock<GpuDetector> = OnceLock::new();
+fn detector() -> &'static Arc<GpuDetector> {
+    static DETECTOR: OnceLock<Arc<GpuDetector>> = OnceLock::new();
     DETECTOR.get_or_init(|| {
         let here = Path::new(env!("CARGO_MANIFEST_DIR"));
         let file = "weights/smrnet-s.safetensors";
         let weights =
             [here.join(file), here.join("..").join(file)].into_iter().find(|f| f.exists());
-        let mut config = Config::new(weights.expect("the weights")).device(Device::Cpu);
+        let mut config =
+            Config { device: Device::Cpu, ..Config::new(weights.expect("the weights")) };
         config.input_size = Some(32);
         config.score = 0.05;
-        GpuDetector::new(config).expect("a detector")
+        Arc::new(GpuDetector::new(config).expect("a detector"))
     })
 }
 

@@ -1,7 +1,8 @@
 //! `smr-gpu bench`: where the time goes on an adapter.
 
 use serde::Serialize;
-use smr_gpu::{Device, GpuDetector, Scene};
+use smr_gpu::verify::{laboratory, profile};
+use smr_gpu::{Device, GpuDetector, Savings};
 
 use super::detector::{AdapterArgs, NetworkArgs};
 use super::exit::{Exit, Failure};
@@ -50,11 +51,11 @@ struct Record {
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    let mut config = args.network.config(Scene::FULL)?;
+    let mut config = args.network.config(Savings::NONE)?;
     let gpu = args.device.open(&args.network)?;
     config.device = Device::Reference;
     let runs = args.runs.into();
-    let roof = smr_gpu::verify::profile::roof(&gpu, runs)?;
+    let roof = profile::roof(&gpu, runs)?;
     tell(format!(
         "{} ({}): {:.1} GMAC/s of multiply-adds, {:.1} GB/s of copies",
         gpu.info().name,
@@ -63,7 +64,8 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         roof.bytes / 1e9
     ));
     let mut records: Vec<Record> = Vec::new();
-    for command in GpuDetector::new(config)?.profile(&gpu, runs, tell)? {
+    let detector = GpuDetector::new(config)?;
+    for command in laboratory::profile(&detector, &gpu, runs, tell)? {
         let seconds = command.time.as_secs_f64();
         let record = Record {
             stage: command.stage,

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use serde::Serialize;
-use smr_gpu::{Comparison, Device, Frame, GpuDetector, Scale, Scene};
+use smr_gpu::verify::{self, Comparison};
+use smr_gpu::{Device, Frame, GpuDetector, Savings, Scale};
 
 use super::detector::{self, AdapterArgs, Assumed, BoxArgs, NetworkArgs, fraction};
 use super::exit::{Exit, Failure};
@@ -76,7 +77,7 @@ struct Stage<'a> {
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let (sources, mut exit) = expand_all(&args.sources)?;
-    let mut config = args.network.config(Scene::FULL)?;
+    let mut config = args.network.config(Savings::NONE)?;
     config.device = Device::Gpu(args.device.choice()?);
     if sources.is_empty() {
         return Ok(exit);
@@ -119,7 +120,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
 fn compare(detector: &GpuDetector, source: &Source) -> Result<Comparison, Failure> {
     let picture = picture::read(source)
         .map_err(|message| Failure::new(Exit::Inputs, format!("{source}: {message}")))?;
-    detector.compare(&Frame::from(&picture)).map_err(|e| Failure::about(source, &e))
+    verify::compare(detector, &Frame::from(&picture)).map_err(|e| Failure::about(source, &e))
 }
 
 fn milliseconds(time: Duration) -> f64 {

@@ -6,10 +6,10 @@ use std::time::Instant;
 
 use image::DynamicImage;
 use serde::Serialize;
-use smr_gpu::detector::Stages;
 use smr_gpu::engine::graph::StageTime;
 use smr_gpu::evaluation::tradeoff::Limit;
 use smr_gpu::files::Outputs;
+use smr_gpu::verify::{self, Stages};
 use smr_gpu::{Detection, Detections, Frame, GpuDetector, Origin, Precision, Rect, Scale};
 
 use super::detector::{self, Assumed, DetectorArgs, exact_fraction, fraction};
@@ -204,7 +204,7 @@ fn look(
     args: &Args,
 ) -> Result<(Detections, Stages), Failure> {
     let result = match args.dump_stages {
-        Some(_) => detector.detect_with_stages(&Frame::from(picture)),
+        Some(_) => verify::stages(detector, &Frame::from(picture)),
         None => detector.detect(picture).map(|found| (found, Vec::new())),
     };
     result.map_err(|e| Failure::about(source, &e))
@@ -241,11 +241,11 @@ fn record<'a>(source: &Source, found: &'a Detections, detector: &'a GpuDetector)
         detections: &found.detections,
         contact: found.contact,
         regions: found.regions.as_deref(),
-        left_out: detector.scene().left_out(found),
+        left_out: found.left_out(&detector.config().savings),
         timings_ms: Timings { stages: &found.stages, total: found.wall.as_secs_f64() * 1e3 },
         adapter: detector.adapter(),
         precision: found.precision,
-        kernels: format!("{:016x}", detector.choice().digest()),
+        kernels: format!("{:016x}", detector.kernels().digest()),
     }
 }
 

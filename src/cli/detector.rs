@@ -10,7 +10,7 @@ use smr_gpu::engine::gpu::{AdapterChoice, Gpu, GpuOptions};
 use smr_gpu::files::Outputs;
 use smr_gpu::smr::ModelConfig;
 use smr_gpu::{
-    Config, Detections, Device, Error, Gel, GpuDetector, Origin, Precision, Scale, Scene, Sensor,
+    Config, Detections, Device, Error, Gel, GpuDetector, Origin, Precision, Savings, Scale, Sensor,
     WeightSource,
 };
 
@@ -134,7 +134,7 @@ pub(super) struct DetectorArgs {
     device: DeviceArgs,
 }
 
-/// A saving of [`Scene`].
+/// A saving of [`Savings`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Saving {
     Contact,
@@ -278,39 +278,39 @@ impl NetworkArgs {
     ///
     /// # Errors
     /// [`Exit::Weights`] if there is no weight file.
-    pub fn config(&self, scene: Scene) -> Result<Config, Failure> {
-        self.config_with(weight_file(self.weights.as_deref())?, scene)
+    pub fn config(&self, savings: Savings) -> Result<Config, Failure> {
+        self.config_with(weight_file(self.weights.as_deref())?, savings)
     }
 
     /// [`config`](Self::config) with other weights.
-    fn config_with(&self, weights: PathBuf, scene: Scene) -> Result<Config, Failure> {
+    fn config_with(&self, weights: PathBuf, savings: Savings) -> Result<Config, Failure> {
         let mut config = Config::new(weights);
         config.input_size = self.size;
         config.sensor = self.sensor.as_ref().map(|given| given.sensor.clone());
         config.mm_per_pixel = self.mm_per_pixel;
         config.gel = self.gel;
         config.strict_scale = self.strict_scale;
-        config.scene = scene;
+        config.savings = savings;
         config.timeout = self.timeout;
         config.precision = self.precision.unwrap_or_default();
-        config.choices = tune::folder();
+        config.tuned_kernels = tune::folder();
         Ok(config)
     }
 }
 
 impl DetectorArgs {
     /// What may be left out.
-    fn scene(&self) -> Scene {
+    fn savings(&self) -> Savings {
         let has = |saving| self.leave_out.contains(&saving);
         match (self.exact, &self.leave_out[..]) {
-            (true, _) => Scene::FULL,
-            (false, []) => Scene::default(),
-            (false, _) => Scene {
+            (true, _) => Savings::NONE,
+            (false, []) => Savings::default(),
+            (false, _) => Savings {
                 contact: has(Saving::Contact),
                 regions: has(Saving::Regions),
                 proposals: has(Saving::Proposals),
                 scales: has(Saving::Scales),
-                ..Scene::FULL
+                ..Savings::NONE
             },
         }
     }
@@ -328,7 +328,7 @@ impl DetectorArgs {
     /// # Errors
     /// As [`config`](Self::config).
     pub fn config_with(&self, weights: PathBuf) -> Result<Config, Failure> {
-        let mut config = self.network.config_with(weights, self.scene())?;
+        let mut config = self.network.config_with(weights, self.savings())?;
         config.iou = self.boxes.iou;
         config.device = self.device.device.clone();
         Ok(config)

@@ -4,9 +4,10 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
+use smr_gpu::engine::tuned::{Place, Tuned};
 use smr_gpu::files::Outputs;
-use smr_gpu::verify::tune::{Place, Tuned};
-use smr_gpu::{Device, GpuDetector, Scene};
+use smr_gpu::verify::laboratory;
+use smr_gpu::{Device, GpuDetector, Savings};
 
 use super::detector::{AdapterArgs, NetworkArgs};
 use super::exit::{Exit, Failure};
@@ -40,7 +41,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    let mut config = args.network.config(Scene::FULL)?;
+    let mut config = args.network.config(Savings::NONE)?;
     let gpu = args.device.open(&args.network)?;
     let mut files = Outputs::default();
     args.network.spare(&mut files, &config);
@@ -62,7 +63,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let style = ProgressStyle::with_template("{bar:40} {pos} of {len} kernels a layer {elapsed}");
     let bar = ProgressBar::new(0).with_style(style.unwrap_or(ProgressStyle::default_bar()));
     let limit = Duration::from_secs(args.seconds);
-    let tuned = detector.tune(&gpu, limit, |done, all| {
+    let tuned = laboratory::tune(&detector, &gpu, limit, |done, all| {
         bar.set_length(all as u64);
         bar.set_position(done as u64);
     })?;
@@ -75,7 +76,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     // First of all: stdout's reader may go away.
     files.write(&path, kept.to_json().as_bytes())?;
     tell(format!("{} ({}): kept in {}", gpu.info().name, gpu.info().backend, path.display()));
-    for (key, kernel) in &tuned.choice.by_shape {
+    for (key, kernel) in &tuned.kernels.by_shape {
         line(format!("{kernel:<28} {key}"))?;
     }
     Ok(Exit::Done)

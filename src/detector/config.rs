@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::detector::Scene;
+use crate::detector::Savings;
 use crate::engine::gpu::{AdapterChoice, Faults, GpuOptions};
-use crate::engine::lower::Choice;
+use crate::engine::lower::KernelChoice;
 use crate::engine::precision::Precision;
 use crate::error::{Error, Result};
 use crate::sensor::Sensor;
@@ -106,11 +106,10 @@ impl fmt::Debug for WeightSource {
 /// ```
 /// use smr_gpu::{Config, Device};
 ///
-/// let config = Config::new("weights/smrnet.safetensors").device(Device::Cpu).score(0.5);
+/// let config = Config { device: Device::Cpu, score: 0.5, ..Config::new("weights/smrnet.safetensors") };
 /// assert_eq!(config.score, 0.5);
 /// ```
 #[derive(Clone, Debug)]
-#[non_exhaustive]
 pub struct Config {
     /// The weights.
     pub weights: WeightSource,
@@ -129,15 +128,15 @@ pub struct Config {
     /// know. The input has as many as the next multiple of 32.
     pub input_size: Option<usize>,
     /// What is left out where a picture does not need it.
-    pub scene: Scene,
-    /// A frame of the sensor without contact, with which others are compared where `scene` looks for
+    pub savings: Savings,
+    /// A frame of the sensor without contact, with which others are compared where `savings` looks for
     /// contact, scaled and cropped as they are; `None` for [`Sensor::reference_frame`]. Without one, or for
     /// frames of another size that are not the sensor's, the frame's own smooth background serves.
     pub reference: Option<Arc<Frame<'static>>>,
     /// A detection's score must be above this; in `[0, 1]`.
     pub score: f32,
     /// The score from which a box counts, where `score` is lower so that others are seen besides: what is in
-    /// doubt is so about this ([`Scene::doubt`]). In `[0, 1]`; `None` for `score`.
+    /// doubt is so about this ([`Savings::doubt`]). In `[0, 1]`; `None` for `score`.
     pub counts_above: Option<f32>,
     /// Of two detections of a class whose intersection over union is above this, the lower goes; in
     /// `[0, 1]`.
@@ -158,19 +157,19 @@ pub struct Config {
     /// are cores compute on one each.
     pub in_flight: usize,
     /// Pictures, or parts of pictures, of one size that a run on a GPU takes together where there are as many:
-    /// in [`GpuDetector::detect_many`], and with [`Scene::regions`].
+    /// in [`GpuDetector::detect_many`], and with [`Savings::regions`].
     pub batch: usize,
     /// How a GPU stores maps and weights. In [`Precision::F16`] they take half the memory, and results are
     /// less exact; a picture with values past 65504, which is as far as f16 goes, is looked at once more in
     /// f32: see [`Detections::precision`]. The CPU and the reference know no f16.
     pub precision: Precision,
     /// Which kernels run on a GPU; what it does not name is chosen by the adapter's kind.
-    pub choice: Choice,
-    /// Folder in which to look for the choice that [`crate::verify::tune`] measured on the adapter; it counts
-    /// where `choice` names nothing.
-    pub choices: Option<PathBuf>,
-    /// Let wgpu check the shaders' bounds (slower; see [`GpuOptions::checked`]).
-    pub checked: bool,
+    pub kernels: KernelChoice,
+    /// Folder in which to look for the kernels that [`crate::verify::tune`] measured on the adapter; it counts
+    /// where `kernels` names nothing.
+    pub tuned_kernels: Option<PathBuf>,
+    /// Let wgpu check the shaders' bounds (slower; see [`GpuOptions::bounds_checks`]).
+    pub bounds_checks: bool,
     /// Keep every stage's tensor, for [`GpuDetector::detect_with_stages`]; takes more memory, and nothing
     /// of a picture is left out.
     pub keep_stages: bool,
@@ -199,9 +198,9 @@ impl Config {
             gel: None,
             strict_scale: false,
             input_size: None,
-            scene: Scene::default(),
+            savings: Savings::default(),
             reference: None,
-            score: 0.05,
+            score: 0.5,
             counts_above: None,
             iou: 0.5,
             max_detections: MAX_DETECTIONS,
@@ -211,144 +210,12 @@ impl Config {
             in_flight: 2,
             batch: 2,
             precision: Precision::F32,
-            choice: Choice::default(),
-            choices: None,
-            checked: false,
+            kernels: KernelChoice::default(),
+            tuned_kernels: None,
+            bounds_checks: false,
             keep_stages: false,
             faults: None,
         }
-    }
-
-    /// Sets [`Config::device`].
-    pub fn device(mut self, device: Device) -> Self {
-        self.device = device;
-        self
-    }
-
-    /// Sets [`Config::sensor`].
-    pub fn sensor(mut self, sensor: Sensor) -> Self {
-        self.sensor = Some(sensor);
-        self
-    }
-
-    /// Sets [`Config::mm_per_pixel`].
-    pub fn mm_per_pixel(mut self, millimetres: f32) -> Self {
-        self.mm_per_pixel = Some(millimetres);
-        self
-    }
-
-    /// Sets [`Config::gel`].
-    pub fn gel(mut self, part: Gel) -> Self {
-        self.gel = Some(part);
-        self
-    }
-
-    /// Sets [`Config::strict_scale`].
-    pub fn strict_scale(mut self, strict: bool) -> Self {
-        self.strict_scale = strict;
-        self
-    }
-
-    /// Sets [`Config::input_size`].
-    pub fn input_size(mut self, pixels: usize) -> Self {
-        self.input_size = Some(pixels);
-        self
-    }
-
-    /// Sets [`Config::scene`].
-    pub fn scene(mut self, scene: Scene) -> Self {
-        self.scene = scene;
-        self
-    }
-
-    /// Sets [`Config::reference`].
-    pub fn reference(mut self, frame: Frame<'static>) -> Self {
-        self.reference = Some(Arc::new(frame));
-        self
-    }
-
-    /// Sets [`Config::score`].
-    pub fn score(mut self, above: f32) -> Self {
-        self.score = above;
-        self
-    }
-
-    /// Sets [`Config::counts_above`].
-    pub fn counts_above(mut self, score: f32) -> Self {
-        self.counts_above = Some(score);
-        self
-    }
-
-    /// Sets [`Config::iou`].
-    pub fn iou(mut self, most: f32) -> Self {
-        self.iou = most;
-        self
-    }
-
-    /// Sets [`Config::max_detections`].
-    pub fn max_detections(mut self, most: usize) -> Self {
-        self.max_detections = most;
-        self
-    }
-
-    /// Sets [`Config::classes`].
-    pub fn classes(mut self, names: impl IntoIterator<Item = impl Into<String>>) -> Self {
-        self.classes = names.into_iter().map(Into::into).collect();
-        self
-    }
-
-    /// Sets [`Config::timeout`].
-    pub fn timeout(mut self, longest: Duration) -> Self {
-        self.timeout = longest;
-        self
-    }
-
-    /// Sets [`Config::rebuild_on_loss`].
-    pub fn rebuild_on_loss(mut self, rebuild: bool) -> Self {
-        self.rebuild_on_loss = rebuild;
-        self
-    }
-
-    /// Sets [`Config::in_flight`].
-    pub fn in_flight(mut self, runs: usize) -> Self {
-        self.in_flight = runs;
-        self
-    }
-
-    /// Sets [`Config::batch`].
-    pub fn batch(mut self, pictures: usize) -> Self {
-        self.batch = pictures;
-        self
-    }
-
-    /// Sets [`Config::precision`].
-    pub fn precision(mut self, precision: Precision) -> Self {
-        self.precision = precision;
-        self
-    }
-
-    /// Sets [`Config::choice`].
-    pub fn choice(mut self, choice: Choice) -> Self {
-        self.choice = choice;
-        self
-    }
-
-    /// Sets [`Config::choices`].
-    pub fn choices(mut self, folder: impl Into<PathBuf>) -> Self {
-        self.choices = Some(folder.into());
-        self
-    }
-
-    /// Sets [`Config::checked`].
-    pub fn checked(mut self, checked: bool) -> Self {
-        self.checked = checked;
-        self
-    }
-
-    /// Sets [`Config::keep_stages`].
-    pub fn keep_stages(mut self, keep: bool) -> Self {
-        self.keep_stages = keep;
-        self
     }
 
     /// The score that a box must pass to count.
@@ -358,7 +225,7 @@ impl Config {
 
     /// Whether a box of this score leaves doubt where less than all was looked at.
     pub(super) fn is_doubtful(&self, score: f32) -> bool {
-        self.scene.is_doubtful(score, self.asked())
+        self.savings.is_doubtful(score, self.asked())
     }
 
     pub(super) fn wanted(&self, model: &ModelConfig) -> Result<Wanted> {
@@ -369,7 +236,7 @@ impl Config {
                 return Err(Error::param("detect", name, "a number from 0 to 1", value));
             }
         }
-        self.scene.check()?;
+        self.savings.check()?;
         if !(1..=MAX_DETECTIONS).contains(&self.max_detections) {
             let got = self.max_detections;
             return Err(Error::param("detect", "max_detections", "1 to 100", got));
@@ -386,7 +253,7 @@ impl Config {
             class_mask = u32::MAX;
         }
         Ok(Wanted {
-            score: self.scene.least_score(self.asked()).min(self.score),
+            score: self.savings.least_score(self.asked()).min(self.score),
             iou: self.iou,
             max_detections: self.max_detections,
             class_mask,
@@ -403,13 +270,14 @@ mod tests {
     #[test]
     fn doubt_is_about_the_score_that_counts() {
         let model = ModelConfig::large();
-        let alone = Config::new("weights").score(0.5);
+        let alone = Config { score: 0.5, ..Config::new("weights") };
         assert!(alone.is_doubtful(0.3) && !alone.is_doubtful(0.1));
-        assert_eq!(alone.wanted(&model).expect("a range").score, alone.scene.least_score(0.5));
-        let besides = Config::new("weights").score(0.05).counts_above(0.5);
+        assert_eq!(alone.wanted(&model).expect("a range").score, alone.savings.least_score(0.5));
+        let besides = Config { score: 0.05, counts_above: Some(0.5), ..Config::new("weights") };
         assert!(besides.is_doubtful(0.3) && !besides.is_doubtful(0.04));
         assert_eq!(besides.wanted(&model).expect("a range").score, 0.05);
-        let error = alone.counts_above(f32::NAN).wanted(&model).expect_err("a range");
+        let error =
+            Config { counts_above: Some(f32::NAN), ..alone }.wanted(&model).expect_err("a range");
         assert!(error.to_string().contains("counts_above"), "{error}");
     }
 }

@@ -29,7 +29,7 @@ impl Begun<'_> {
 }
 
 /// The results of many pictures, as they are asked for.
-pub(super) struct Many<'a, I> {
+pub(crate) struct Many<'a, I> {
     detector: &'a GpuDetector,
     frames: I,
     /// The first first.
@@ -46,7 +46,7 @@ impl<'a, I: Iterator<Item = Frame<'a>>> Many<'a, I> {
     /// Begins as many batches as may be in flight.
     fn fill(&mut self) {
         let detector = self.detector;
-        let batch = detector.engines().batch();
+        let batch = detector.session().batch();
         while self.begun.len() < detector.config.in_flight.max(1) {
             let frames: Vec<Frame> = self.frames.by_ref().take(batch).collect();
             if frames.is_empty() {

@@ -1,67 +1,66 @@
-//! [`GpuDetector`]: a picture in, snaps out.
+//! [`GpuDetector`]: a frame in, snaps out.
+//!
+//! A frame's way: `input` finds what of it the network sees ([`crate::sensor`]'s view) and brings its bytes
+//! to where they are read; `contact_map` says where something touches the gel, `regions` which parts are
+//! worth the network; `inference` runs those and turns what comes out into detections (`output`).
 //!
 //! | file | what it holds |
 //! |---|---|
+//! | `savings` | what may be left out of a picture |
 //! | `config` | how to build a detector |
 //! | `detection` | what it finds |
-//! | `view` | what a frame shows: its gel, its scale, what of it the network sees |
-//! | `input` | from a frame to what the network takes, and back |
-//! | `look` | the network over pictures or their parts, those of a size together |
-//! | `many` | many pictures, in order |
-//! | `scene` | what may be left out of a picture |
-//! | `contact` | where something touches the gel |
-//! | `regions` | the parts of a picture that the network looks at |
-//! | `stream` | frames of which few change |
-//! | `engines`, `engine` | the network, for each size of input |
-//! | `runner` | what runs a graph: a GPU, the CPU, the reference |
+//! | `geometry` | how large the network's input is for a view, and regions of it |
+//! | `input` | from a frame to what the network takes |
+//! | `output` | from what the network gives to detections |
 //! | `pool` | the memory of runs: as many in flight as there are arenas |
+//! | `runner` | what runs a graph: a GPU, the CPU, the reference |
+//! | `compiled` | the network for one size of input, and what runs it |
+//! | `contact_map` | where something touches the gel |
+//! | `regions` | the parts of a picture that the network runs on |
+//! | `session` | the weights, the device, and the network compiled for each size of input |
+//! | `inference` | the network over pictures or their regions, those of a size together |
+//! | `many` | many pictures, in order |
+//! | `caching` | frames of which few change |
 
+mod caching;
+pub(crate) mod compiled;
 mod config;
-mod contact;
+mod contact_map;
 mod detection;
-mod engine;
-mod engines;
-mod input;
-mod look;
+mod geometry;
+mod inference;
+pub(crate) mod input;
 mod many;
+mod output;
 mod pool;
 mod regions;
 mod runner;
-mod scene;
-mod stream;
+mod savings;
+pub(crate) mod session;
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use crate::engine::gpu::{Deadline, Gpu};
-use crate::engine::graph::{StageTime, TensorId};
 use crate::engine::lock::lock;
-use crate::engine::lower::Choice;
+use crate::engine::lower::KernelChoice;
 use crate::engine::precision::Precision;
 use crate::engine::tensor::Value;
 use crate::error::{Error, Result};
 use crate::sensor::frame::Frame;
-use crate::sensor::pixel_format::PixelFormat;
 use crate::sensor::scale::Scale;
-use crate::smr::ModelConfig;
-use crate::verify::comparison::{self, StageComparison, Values};
-use crate::verify::profile::{self, CommandTime};
-use crate::verify::tune::{self, Tuned};
-
 use crate::sensor::view::{self, Known, View};
+use crate::smr::ModelConfig;
+pub use caching::{CachingDetector, MOST_REUSED};
 pub use config::{Config, Device, WeightSource};
-pub use detection::{Comparison, Detection, Detections};
-use engine::Engine;
-use engines::{Engines, Kind};
-use input::{Geometry, Input};
-use look::Sight;
-pub use scene::Scene;
-pub use stream::{MOST_REUSED, Stream};
-
-/// Tensors of every stage, by the PyTorch reference's names.
-pub type Stages = Vec<(String, Value)>;
+pub use detection::{Detection, Detections};
+use geometry::Geometry;
+use inference::Job;
+use input::Input;
+pub use savings::Savings;
+use session::{Key, Session};
 
 /// Finds snap joints in pictures. Build it once; it holds the device, the compiled shaders, the
 /// weights and all buffers. Pictures given from several threads are in flight together, as many as
@@ -70,10 +69,10 @@ pub struct GpuDetector {
     config: Config,
     model: ModelConfig,
     /// Replaced when the device was lost.
-    engines: RwLock<Arc<Engines>>,
+    session: RwLock<Arc<Session>>,
     /// The frame without contact as the last view shows it.
     reference: Mutex<Option<(View, Arc<Value>)>>,
-    /// Held while the engines are rebuilt.
+    /// Held while the session is rebuilt.
     rebuilding: Mutex<()>,
     /// Whether the device is the caller's, who alone can replace it.
     foreign: bool,
@@ -109,7 +108,7 @@ impl GpuDetector {
         Self::build(config, None).await
     }
 
-    /// [`GpuDetector::new_async`] on a device that is open already; `device` and `checked` of the
+    /// [`GpuDetector::new_async`] on a device that is open already; `device` and `bounds_checks` of the
     /// configuration do not count, and a lost device is not replaced.
     ///
     /// # Errors
@@ -121,7 +120,7 @@ impl GpuDetector {
     async fn build(mut config: Config, gpu: Option<Arc<Gpu>>) -> Result<Self> {
         let foreign = gpu.is_some();
         if config.keep_stages {
-            config.scene = Scene::FULL;
+            config.savings = Savings::NONE;
         }
         if let Some(sensor) = &config.sensor {
             sensor.check()?;
@@ -141,14 +140,14 @@ impl GpuDetector {
         if let Some(mm) = config.mm_per_pixel {
             Scale::stated(mm).check()?;
         }
-        let engines = Engines::open(&config, gpu).await?;
-        let model = engines.model().clone();
-        let (engines, rebuilding) = (RwLock::new(Arc::new(engines)), Mutex::new(()));
+        let session = Session::open(&config, gpu).await?;
+        let model = session.model().clone();
+        let (session, rebuilding) = (RwLock::new(Arc::new(session)), Mutex::new(()));
         let reference = Mutex::default();
-        let detector = Self { config, model, engines, reference, rebuilding, foreign };
+        let detector = Self { config, model, session, reference, rebuilding, foreign };
         match detector.usual_frame() {
             Some(frame) => detector.prepare(frame)?,
-            None => detector.engines().check()?,
+            None => detector.session().check()?,
         }
         Ok(detector)
     }
@@ -167,17 +166,17 @@ impl GpuDetector {
     fn prepare(&self, frame: [u32; 2]) -> Result<()> {
         let view = view::view(frame, self.known())?;
         let geometry = Geometry::new(&view, &self.model, self.config.input_size)?;
-        let engines = self.engines();
-        let (scene, size) = (&self.config.scene, geometry.size);
+        let session = self.session();
+        let (savings, size) = (&self.config.savings, geometry.size);
         // All of the network first: what leaves some of it out then shares its weights.
-        let all = engines.whole(size, engines.precision());
-        engines.engine(all)?;
-        let proposals = scene.proposals(size, false);
-        engines.engine(Kind { proposals, deepest: !scene.scales, ..all })?;
-        if scene.looks() {
+        let all = session.whole(size, session.precision());
+        session.compiled(all)?;
+        let proposals = savings.proposals(size, false);
+        session.compiled(Key { proposals, deepest: !savings.scales, ..all })?;
+        if savings.need_contact() {
             let reference = self.reference(&view)?.is_some();
-            let cells = contact::cells(&view);
-            engines.contact(contact::Kind { cells, reference, stream: false })?;
+            let cells = contact_map::cells(&view);
+            session.contact(contact_map::Key { cells, reference, stream: false })?;
         }
         Ok(())
     }
@@ -190,7 +189,7 @@ impl GpuDetector {
     }
 
     /// Checks a frame and brings it to what the network takes.
-    fn input<'a>(&self, frame: &'a Frame<'_>) -> Result<Input<'a>> {
+    pub(crate) fn input<'a>(&self, frame: &'a Frame<'_>) -> Result<Input<'a>> {
         let start = Instant::now();
         frame.check()?;
         let known = self.known();
@@ -199,19 +198,19 @@ impl GpuDetector {
         let view = view::view([frame.width, frame.height], known)?;
         let geometry = Geometry::new(&view, &self.model, self.config.input_size)?;
         // A GPU copies them anyhow, and who keeps stages wants them as they are.
-        let borrow = self.engines().on_cores() && !self.config.keep_stages;
+        let borrow = self.session().on_cores() && !self.config.keep_stages;
         Input::new(start, frame, view, geometry, borrow)
     }
 
     /// How maps and weights are stored: [`Config::precision`], but on the CPU. A picture that overflows
     /// f16 has [`Precision::F32`] in its [`Detections`].
     pub fn precision(&self) -> Precision {
-        self.engines().precision()
+        self.session().precision()
     }
 
-    /// What is left out where a picture does not need it: [`Config::scene`].
-    pub fn scene(&self) -> Scene {
-        self.config.scene
+    /// How it was built; the reference frame may be the sensor's, and nothing is left out where stages are kept.
+    pub fn config(&self) -> &Config {
+        &self.config
     }
 
     /// The network's configuration.
@@ -221,87 +220,28 @@ impl GpuDetector {
 
     /// Name of what runs the network: another where a lost device came back otherwise.
     pub fn adapter(&self) -> String {
-        self.engines().adapter.clone()
+        self.session().adapter.clone()
     }
 
     /// Which kernels run the network on a GPU: equal bits are promised for equal choices.
-    pub fn choice(&self) -> Choice {
-        self.engines().choice.clone()
+    pub fn kernels(&self) -> KernelChoice {
+        self.session().kernels.clone()
     }
 
     /// What went otherwise than the configuration says, a line each: a damaged file with a choice of
     /// kernels, say, that was passed over.
     pub fn remarks(&self) -> Vec<String> {
-        self.engines().remarks.clone()
+        self.session().remarks.clone()
     }
 
-    /// Measures which kernels are fastest on `gpu` for this network: see [`crate::verify::tune`]. The detector
-    /// must hold its weights: one with [`Device::Reference`] does.
-    ///
-    /// # Errors
-    /// As [`tune::tune`].
-    pub fn tune(
-        &self,
-        gpu: &Arc<Gpu>,
-        limit: Duration,
-        progress: impl FnMut(usize, usize),
-    ) -> Result<Tuned> {
-        let noise = self.noise();
-        let input = self.input(&noise)?;
-        let engine = self.engines().one(input.geometry.size)?;
-        let inputs = input.inputs(&engine.network);
-        tune::tune(gpu, &engine.network.graph, &inputs, self.config.precision, limit, progress)
+    pub(crate) fn session(&self) -> Arc<Session> {
+        self.session.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Times every command of this network on `gpu`: see [`crate::verify::profile`]. The detector must hold its
-    /// weights: one with [`Device::Reference`] does. `remark` hears what [`GpuDetector::remarks`] would tell of
-    /// one on `gpu`.
-    ///
-    /// # Errors
-    /// As [`profile::commands`].
-    pub fn profile(
-        &self,
-        gpu: &Arc<Gpu>,
-        runs: usize,
-        remark: impl FnMut(String),
-    ) -> Result<Vec<CommandTime>> {
-        let noise = self.noise();
-        let input = self.input(&noise)?;
-        let engine = self.engines().one(input.geometry.size)?;
-        let inputs = input.inputs(&engine.network);
-        let mut remarks = Vec::new();
-        let choice = engine::choose(&self.config, gpu, &mut remarks);
-        remarks.into_iter().for_each(remark);
-        let how = (&choice, self.config.precision);
-        profile::commands(gpu, &engine.network.graph, &inputs, how, runs)
-    }
-
-    /// A picture of the sensor's size in which there is something everywhere.
-    fn noise(&self) -> Frame<'static> {
-        let frame = self.config.sensor.as_ref().and_then(|sensor| sensor.frame);
-        let [width, height] = frame.unwrap_or([1000, 1000]);
-        let pixel = |i: usize| ((i as u32).wrapping_mul(2_654_435_761) >> 24) as u8;
-        let pixels: Vec<u8> = (0..width as usize * height as usize).map(pixel).collect();
-        Frame::new(pixels, width, height, PixelFormat::Gray8)
-    }
-
-    fn engines(&self) -> Arc<Engines> {
-        self.engines.read().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    /// Finds the snaps in a picture of the crate [`image`], of any kind of pixel. The network sees what
-    /// [`Config::sensor`] says is gel.
-    ///
-    /// # Errors
-    /// As [`GpuDetector::detect_frame`].
-    #[cfg(feature = "image")]
-    pub fn detect(&self, picture: &image::DynamicImage) -> Result<Detections> {
-        self.detect_frame(&Frame::from(picture))
-    }
-
-    /// Finds the snaps in a picture in memory. [`crate::sensor::scale`] says which part of it is taken for gel, and at
-    /// which scale. Of a frame whose scale nobody states the middle 60 mm at most along the longer side are
-    /// seen, and [`Detections::assumption`] says what was assumed.
+    /// Finds the snaps in a [`Frame`], or with the feature `image` in a picture of that crate.
+    /// [`Scale`](crate::Scale) has which part of it is taken for gel, and at which scale. Of a frame whose scale
+    /// nobody states the middle 60 mm at most along the longer side are seen, and [`Detections::assumption`] says
+    /// what was assumed.
     ///
     /// # Errors
     /// [`Error::Picture`] for an empty picture, or one that shows more gel than the weights' input holds,
@@ -310,57 +250,58 @@ impl GpuDetector {
     /// with [`Config::strict_scale`], [`Error::Capacity`] for one past the device's largest binding,
     /// [`Error::DeviceLost`], [`Error::Timeout`] or [`Error::Driver`] from the device,
     /// [`Error::NotFinite`] if the network overflowed.
-    pub fn detect_frame(&self, frame: &Frame) -> Result<Detections> {
-        pollster::block_on(self.detect_async(frame))
+    pub fn detect<'f>(&self, picture: impl Into<Frame<'f>>) -> Result<Detections> {
+        pollster::block_on(self.detect_async(picture))
     }
 
-    /// [`GpuDetector::detect_frame`] for callers with an executor of their own. Waiting for a GPU does not
+    /// [`GpuDetector::detect`] for callers with an executor of their own. Waiting for a GPU does not
     /// block; making ready for a size that no picture had lately does, and opening a new device in place of a
     /// lost one. The CPU computes before the future is ready.
     ///
     /// # Errors
-    /// As [`GpuDetector::detect_frame`].
-    pub async fn detect_async(&self, frame: &Frame<'_>) -> Result<Detections> {
+    /// As [`GpuDetector::detect`].
+    pub async fn detect_async<'f>(&self, picture: impl Into<Frame<'f>>) -> Result<Detections> {
         let deadline = Deadline::after(self.config.timeout);
-        let input = self.input(frame)?;
-        let engines = self.engines();
-        match self.detect_with(&engines, &input, deadline).await {
-            Err(e) => self.detect_with(&*self.recover(&engines, e)?, &input, deadline).await,
+        let frame = picture.into();
+        let input = self.input(&frame)?;
+        let session = self.session();
+        match self.detect_with(&session, &input, deadline).await {
+            Err(e) => self.detect_with(&*self.recover(&session, e)?, &input, deadline).await,
             found => found,
         }
     }
 
     async fn detect_with(
         &self,
-        engines: &Engines,
+        session: &Session,
         input: &Input<'_>,
         deadline: Deadline,
     ) -> Result<Detections> {
-        let sight = self.sight(engines, input, deadline).await?;
-        self.look_at(engines, sight, deadline).await
+        let job = self.job(session, input, deadline).await?;
+        self.run_job(session, job, deadline).await
     }
 
     /// What a picture's contact asks for.
-    async fn sight<'a>(
+    async fn job<'a>(
         &self,
-        engines: &Engines,
+        session: &Session,
         input: &'a Input<'_>,
         deadline: Deadline,
-    ) -> Result<Sight<'a>> {
-        let look = match self.config.scene.looks() {
-            true => Some(self.touched(engines, input, None, false, deadline).await?),
+    ) -> Result<Job<'a>> {
+        let contact = match self.config.savings.need_contact() {
+            true => Some(self.contact(session, input, None, false, deadline).await?),
             false => None,
         };
-        Ok(Sight::new(input, look, &self.config.scene))
+        Ok(Job::new(input, contact, &self.config.savings))
     }
 
-    async fn look_at(
+    async fn run_job(
         &self,
-        engines: &Engines,
-        sight: Sight<'_>,
+        session: &Session,
+        job: Job<'_>,
         deadline: Deadline,
     ) -> Result<Detections> {
-        let mut found = look::look_at(engines, &self.config, &[sight], deadline).await;
+        let mut found = inference::run_jobs(session, &self.config, &[job], deadline).await;
         found.pop().unwrap_or_else(|| Err(Error::tensor("detect", "picture", "one", "none")))
     }
 
@@ -379,7 +320,7 @@ impl GpuDetector {
     async fn detect_together(&self, frames: &[Frame<'_>]) -> Vec<Result<Detections>> {
         // Its caller may come back for them late.
         let deadline = Deadline::of_each_run(self.config.timeout);
-        let engines = self.engines();
+        let session = self.session();
         // By the frame's place.
         let mut found = BTreeMap::new();
         let mut inputs = Vec::new();
@@ -389,35 +330,35 @@ impl GpuDetector {
                 Err(e) => drop(found.insert(at, Err(e))),
             }
         }
-        let (mut places, mut sights) = (Vec::new(), Vec::new());
+        let (mut places, mut jobs) = (Vec::new(), Vec::new());
         for (at, input) in &inputs {
-            match self.sight(&engines, input, deadline).await {
-                Ok(sight) => {
+            match self.job(&session, input, deadline).await {
+                Ok(job) => {
                     places.push(*at);
-                    sights.push(sight);
+                    jobs.push(job);
                 }
                 Err(e) => drop(found.insert(*at, Err(e))),
             }
         }
-        let seen = look::look_at(&engines, &self.config, &sights, deadline).await;
+        let seen = inference::run_jobs(&session, &self.config, &jobs, deadline).await;
         found.extend(places.into_iter().zip(seen));
         found.into_values().collect()
     }
 
-    /// Looks for contact, and, for a stream, for what changed since the frame with the cells `before`.
-    async fn touched(
+    /// Maps contact, and, for a caching detector, what changed since the frame with the cells `before`.
+    async fn contact(
         &self,
-        engines: &Engines,
+        session: &Session,
         input: &Input<'_>,
         before: Option<&Value>,
         stream: bool,
         deadline: Deadline,
-    ) -> Result<contact::Look> {
-        let cells = contact::cells(&input.view);
+    ) -> Result<contact_map::Contact> {
+        let cells = contact_map::cells(&input.view);
         let reference = self.reference(&input.view)?;
-        let kind = contact::Kind { cells, reference: reference.is_some(), stream };
-        let (look, deadline) = deadline.beside(|| engines.contact(kind));
-        look?.look(input, reference.as_deref(), before, deadline).await
+        let kind = contact_map::Key { cells, reference: reference.is_some(), stream };
+        let (graph, deadline) = deadline.beside(|| session.contact(kind));
+        graph?.run(input, reference.as_deref(), before, deadline).await
     }
 
     /// The cells of [`Config::reference`] in a view, if that has its size or is the sensor's at another.
@@ -433,25 +374,9 @@ impl GpuDetector {
         if let Some((_, cells)) = known.as_ref().filter(|(of, _)| of == view) {
             return Ok(Some(cells.clone()));
         }
-        let cells = Arc::new(contact::reference_cells(frame, part, contact::cells(view))?);
+        let cells = Arc::new(contact_map::reference_cells(frame, part, contact_map::cells(view))?);
         *known = Some((*view, cells.clone()));
         Ok(Some(cells))
-    }
-
-    /// Looks at frames of one camera in their order: one that equals the last that was computed keeps its
-    /// detections.
-    pub fn stream(&self) -> Stream<'_> {
-        Stream::new(self)
-    }
-
-    /// [`GpuDetector::stream`] over `frames`. The iterator ends with them; an error is that of its frame
-    /// alone.
-    pub fn detect_stream<'a>(
-        &'a self,
-        frames: impl IntoIterator<Item = Frame<'a>> + 'a,
-    ) -> impl Iterator<Item = Result<Detections>> + 'a {
-        let mut stream = self.stream();
-        frames.into_iter().map(move |frame| stream.detect(&frame))
     }
 
     /// Finds the snaps in each of `frames`, in their order, with several in flight: the next frame is
@@ -465,232 +390,53 @@ impl GpuDetector {
         many::Many::new(self, frames.into_iter())
     }
 
-    /// [`GpuDetector::detect_frame`], with the tensor of every stage, cut to the rows that a count
-    /// made valid. Needs `Config::keep_stages`.
-    ///
-    /// # Errors
-    /// As [`GpuDetector::detect_frame`]; [`Error::Param`] without `keep_stages`.
-    pub fn detect_with_stages(&self, frame: &Frame) -> Result<(Detections, Stages)> {
-        self.check_keeps_stages()?;
-        let deadline = Deadline::after(self.config.timeout);
-        let input = self.input(frame)?;
-        let (mut values, detections) = pollster::block_on(self.look_at_stages(&input, deadline))?;
-        let engine = self.engines().one(input.geometry.size)?;
-        let graph = &engine.network.graph;
-        let named = |id: TensorId| Some((graph.name(id).to_owned(), values.remove(&id)?));
-        Ok((detections, graph.computed().into_iter().filter_map(named).collect()))
-    }
-
-    /// Looks at a picture on the device and with the f64 reference, and compares every operation and
-    /// what comes out: see [`crate::verify::comparison`]. Needs `Config::keep_stages`.
-    ///
-    /// # Errors
-    /// As [`GpuDetector::detect_frame`]; [`Error::Param`] without `keep_stages` or a GPU;
-    /// [`Error::Overflow`] where the device's numbers overflow and those of the reference do not.
-    pub fn compare(&self, frame: &Frame) -> Result<Comparison> {
-        let mut input = self.input(frame)?;
-        let engine = self.engines().one(input.geometry.size)?;
-        if !engine.is_gpu() {
-            return Err(Error::param("compare", "device", "a GPU", "the CPU"));
-        }
-        self.check_keeps_stages()?;
-        let network = &engine.network;
-        let deadline = Deadline::after(self.config.timeout);
-        let (got, times) = pollster::block_on(engine.run(&input.inputs(network), deadline))?;
-        let found = input.detections(network, &got, times);
-        input.start = Instant::now();
-        let inputs = input.inputs(network);
-        let (want, times) = network.graph.reference(&inputs, &network.graph.computed())?;
-        let expected = input.detections(network, &want, times)?;
-        let precision = engine.how().precision;
-        let found = match found {
-            Err(Error::NotFinite { stage, count }) => {
-                return Err(Error::Overflow { stage, count, precision: precision.to_string() });
-            }
-            found => Detections { precision, ..found? },
-        };
-        let scale = input.scale().into_iter().map(f64::from).fold(0.0, f64::max);
-        let outcome = comparison::compare(network, &inputs, [&got, &want], scale, engine.how())?;
-        let time = |stage: &str| found.stages.iter().find(|t| t.stage == stage).map(|t| t.time);
-        let stages = expected.stages.iter().zip(outcome.stages);
-        let stages = stages.map(|(reference, tensors)| StageComparison {
-            stage: reference.stage.clone(),
-            time: time(&reference.stage),
-            reference_time: reference.time,
-            tensors,
-        });
-        let mm_per_pixel = f64::from(input.view.scale.mm_per_pixel);
-        Ok(Comparison {
-            stages: stages.collect(),
-            proposals: outcome.proposals,
-            detections: outcome.detections,
-            shift: outcome.shift,
-            shift_mm: outcome.shift.pixels * mm_per_pixel,
-            found,
-            expected,
-        })
-    }
-
-    async fn look_at_stages(
-        &self,
-        input: &Input<'_>,
-        deadline: Deadline,
-    ) -> Result<(Values, Detections)> {
-        let engines = self.engines();
-        match self.look_with(&engines, input, deadline).await {
-            Err(e) => self.look_with(&*self.recover(&engines, e)?, input, deadline).await,
-            found => found,
-        }
-    }
-
-    fn check_keeps_stages(&self) -> Result<()> {
-        match self.config.keep_stages {
-            true => Ok(()),
-            false => Err(Error::param("detect", "keep_stages", true, false)),
-        }
-    }
-
     /// What to go on with after an error: on a lost device a new one.
     ///
     /// # Errors
     /// The error itself, and what opening a device returns.
-    fn recover(&self, engines: &Arc<Engines>, error: Error) -> Result<Arc<Engines>> {
+    pub(crate) fn recover(&self, session: &Arc<Session>, error: Error) -> Result<Arc<Session>> {
         match error {
             Error::DeviceLost(_) if self.config.rebuild_on_loss && !self.foreign => {
-                self.rebuild(engines)
+                self.rebuild(session)
             }
             error => Err(error),
         }
     }
 
-    /// Looks at a whole picture. The values are the outputs, or with `keep_stages` those of every stage,
-    /// cut to their valid rows.
-    async fn look_with(
-        &self,
-        engines: &Engines,
-        input: &Input<'_>,
-        deadline: Deadline,
-    ) -> Result<(Values, Detections)> {
-        let (size, precision) = (input.geometry.size, engines.precision());
-        let engine = |precision| engines.engine(engines.whole(size, precision));
-        match self.look_in(engine(precision)?, input, deadline).await {
-            Err(Error::NotFinite { .. }) if precision == Precision::F16 => {
-                self.look_in(engine(Precision::F32)?, input, deadline).await
-            }
-            found => found.map(|(values, found)| (values, Detections { precision, ..found })),
-        }
-    }
-
-    async fn look_in(
-        &self,
-        engine: Arc<Engine>,
-        input: &Input<'_>,
-        deadline: Deadline,
-    ) -> Result<(Values, Detections)> {
-        let network = &engine.network;
-        let inputs = input.inputs(network);
-        let (mut values, times): (Values, Vec<StageTime>) = engine.run(&inputs, deadline).await?;
-        if self.config.keep_stages {
-            network.graph.truncate(&inputs, &mut values);
-        }
-        let detections = input.detections(network, &values, times)?;
-        Ok((values, detections))
-    }
-
     /// Opens a new device in place of that of `lost`, unless another thread has.
-    fn rebuild(&self, lost: &Arc<Engines>) -> Result<Arc<Engines>> {
+    fn rebuild(&self, lost: &Arc<Session>) -> Result<Arc<Session>> {
         let _one = lock(&self.rebuilding);
-        let current = self.engines();
+        let current = self.session();
         if !Arc::ptr_eq(&current, lost) {
             return Ok(current);
         }
-        let mut engines = pollster::block_on(Engines::open(&self.config, None))?;
-        if engines.adapter != lost.adapter {
-            let remark = format!("{} was lost: {} goes on", lost.adapter, engines.adapter);
-            engines.remarks.push(remark);
+        let mut session = pollster::block_on(Session::open(&self.config, None))?;
+        if session.adapter != lost.adapter {
+            let remark = format!("{} was lost: {} goes on", lost.adapter, session.adapter);
+            session.remarks.push(remark);
         }
-        let engines = Arc::new(engines);
-        *self.engines.write().unwrap_or_else(PoisonError::into_inner) = engines.clone();
-        Ok(engines)
+        let session = Arc::new(session);
+        *self.session.write().unwrap_or_else(PoisonError::into_inner) = session.clone();
+        Ok(session)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    #[cfg(feature = "serde")]
-    use crate::{sensor::rect::Rect, sensor::scale::Origin};
-    #[cfg(feature = "serde")]
-    use std::time::Duration;
-
-    /// The names that `smr-gpu detect --json` prints, and all of it back.
-    #[cfg(feature = "serde")]
-    #[test]
-    fn detections_are_serialised() {
-        let stages = vec![StageTime { stage: "input".into(), time: Duration::from_micros(1500) }];
-        let detection = Detection {
-            class: "B".into(),
-            class_index: 1,
-            score: 0.75,
-            bbox: [1.0, 2.5, 3.0, 4.0],
-            center_mm: [-0.5, 0.25],
-            center_std_mm: Some([0.125, 0.0625]),
-            yaw_deg: None,
-            yaw_std_deg: None,
-            whole: Some(0.5),
-        };
-        let found = Detections {
-            detections: vec![detection],
-            width: 640,
-            height: 480,
-            gel: Rect { x: 80, y: 0, width: 480, height: 480 },
-            gel_assumed: false,
-            part: Rect { x: 80, y: 0, width: 400, height: 480 },
-            scale: Scale { mm_per_pixel: 0.0625, from: Origin::Assumed },
-            precision: Precision::F16,
-            contact: Some(true),
-            regions: Some(vec![Rect { x: 1, y: 2, width: 3, height: 4 }]),
-            without_deepest: true,
-            looked_again: false,
-            reused: false,
-            proposals: 7,
-            stages,
-            wall: Duration::from_millis(20),
-        };
-        let json = serde_json::to_value(&found).expect("serialised");
-        let want = serde_json::json!({
-            "detections": [{
-                "class": "B", "class_index": 1, "score": 0.75,
-                "box": [1.0, 2.5, 3.0, 4.0], "center_mm": [-0.5, 0.25],
-                "center_std_mm": [0.125, 0.0625], "yaw_deg": null, "yaw_std_deg": null, "whole": 0.5
-            }],
-            "width": 640, "height": 480, "gel": {"x": 80, "y": 0, "width": 480, "height": 480},
-            "part": {"x": 80, "y": 0, "width": 400, "height": 480},
-            "gel_assumed": false, "mm_per_pixel": 0.0625, "scale_from": "assumed",
-            "precision": "f16", "proposals": 7,
-            "contact": true, "regions": [{"x": 1, "y": 2, "width": 3, "height": 4}],
-            "without_deepest": true, "looked_again": false, "reused": false,
-            "stages": [{"stage": "input", "ms": 1.5}],
-            "wall_ms": 20.0
-        });
-        assert_eq!(json, want);
-        assert_eq!(serde_json::from_value::<Detections>(want).expect("read"), found);
-        let negative = r#"{"stage": "input", "ms": -1.0}"#;
-        assert!(serde_json::from_str::<StageTime>(negative).is_err());
-    }
 
     #[test]
     fn a_line_for_people() {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/weights/smrnet.safetensors");
         let bytes = std::fs::read(file).expect("the weights");
         let length = bytes.len();
-        let config = Config::from_bytes("memory", bytes).device(Device::Reference);
+        let config = Config { device: Device::Reference, ..Config::from_bytes("memory", bytes) };
         let line = format!("{config:?}");
         assert!(line.contains(&format!(r#"Bytes("memory", {length} bytes)"#)), "{line}");
         let detector = GpuDetector::new(config).expect("a detector");
         let want = "GpuDetector(classes A, B, sensor none named, on CPU reference (f64))";
         assert_eq!(format!("{detector:?}"), want);
-        let engine = detector.engines().one([320, 320]).expect("an engine");
+        let engine = detector.session().one([320, 320]).expect("an engine");
         let network = format!("{:?}", engine.network);
         let start = "Network(320 × 320, classes A, B, Graph(";
         assert!(network.starts_with(start) && network.len() < 100, "{network}");

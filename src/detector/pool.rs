@@ -11,7 +11,7 @@ use crate::engine::lock::lock;
 use crate::error::Result;
 
 /// Arenas, handed out one at a time.
-pub(super) struct Pool {
+pub(crate) struct Pool {
     gpu: Arc<Gpu>,
     most: usize,
     state: Mutex<State>,
@@ -28,7 +28,7 @@ struct State {
 }
 
 /// A program, and what binds it to each arena in which it ran.
-pub(super) struct Slots {
+pub(crate) struct Slots {
     program: Arc<Program>,
     pool: Arc<Pool>,
     idle: Mutex<Vec<Slot>>,

@@ -1,8 +1,9 @@
 //! Which parts of the network's input are looked at, and what several parts saw of one snap.
 
-use crate::detector::contact::Map;
-use crate::detector::input::Geometry;
-use crate::detector::{Detection, Scene};
+use crate::detector::contact_map::TileMap;
+use crate::detector::geometry::{Geometry, Region};
+use crate::detector::output::RegionDetection;
+use crate::detector::{Detection, Savings};
 
 /// Sides of parts in pixels of the network's input: few, as each size has an engine of its own.
 const SIDES: [usize; 8] = [96, 128, 160, 192, 256, 320, 384, 512];
@@ -14,25 +15,8 @@ const GRID: usize = 8;
 const EACH: f64 = 0.06;
 /// Tiles that may lie between two contacts of one snap: a slot, or the flat of a face.
 const BETWEEN: usize = 3;
-/// Pixels of the network's input from a part's edge at which a box is taken to be cut by it.
-const CUT: f32 = 2.0;
 /// Share of a box that another one covers if both are of one snap.
 const COVERED: f32 = 0.7;
-
-/// A part of the network's input, in its pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Window {
-    pub x: usize,
-    pub y: usize,
-    pub width: usize,
-    pub height: usize,
-}
-
-impl Window {
-    fn area(&self) -> usize {
-        self.width * self.height
-    }
-}
 
 /// A box in pixels: its first and last column and row.
 #[derive(Clone, Copy, Debug)]
@@ -49,8 +33,8 @@ impl Extent {
         }
     }
 
-    /// The window that holds it, with `margin` on all sides as far as the input reaches.
-    fn window(&self, margin: [f64; 2], [height, width]: [usize; 2]) -> Window {
+    /// The region that holds it, with `margin` on all sides as far as the input reaches.
+    fn region(&self, margin: [f64; 2], [height, width]: [usize; 2]) -> Region {
         let side = |axis: usize, full: usize| {
             let from = (self.from[axis] - margin[axis]).max(0.0) as usize / GRID * GRID;
             let to = ((self.to[axis] + margin[axis]).ceil() as usize).min(full);
@@ -62,18 +46,22 @@ impl Extent {
             (at.min(full - length), length)
         };
         let ((x, width), (y, height)) = (side(0, width), side(1, height));
-        Window { x, y, width, height }
+        Region { x, y, width, height }
     }
 }
 
 /// The parts that show all contact with its margin; `None` where they would cost more than the whole, or
 /// nearly.
-pub(super) fn windows(map: &Map, geometry: &Geometry, scene: &Scene) -> Option<Vec<Window>> {
+pub(super) fn regions(
+    map: &TileMap,
+    geometry: &Geometry,
+    savings: &Savings,
+) -> Option<Vec<Region>> {
     let [rows, columns] = map.cells;
     let scale =
         [geometry.resized[0] as f64 / columns as f64, geometry.resized[1] as f64 / rows as f64];
     // A cell has half a millimetre.
-    let margin = scale.map(|pixels| 2.0 * f64::from(scene.margin_mm) * pixels);
+    let margin = scale.map(|pixels| 2.0 * f64::from(savings.margin_mm) * pixels);
     let all = [columns, rows];
     let extent = |tiles: &[[usize; 2]]| {
         let one = |[x, y]: &[usize; 2]| Extent {
@@ -82,18 +70,18 @@ pub(super) fn windows(map: &Map, geometry: &Geometry, scene: &Scene) -> Option<V
         };
         tiles.iter().map(one).reduce(|a, b| a.with(&b))
     };
-    let near = (scene.margin_mm.ceil() as usize).max(BETWEEN);
+    let near = (savings.margin_mm.ceil() as usize).max(BETWEEN);
     let groups = groups(map, near);
     let mut parts: Vec<Extent> = groups.iter().filter_map(|tiles| extent(tiles)).collect();
-    let window = |part: &Extent| part.window(margin, geometry.size);
+    let region = |part: &Extent| part.region(margin, geometry.size);
     let full = (geometry.size[0] * geometry.size[1]) as f64;
-    let cost = |part: &Extent| window(part).area() as f64 / full + EACH;
+    let cost = |part: &Extent| region(part).area() as f64 / full + EACH;
     while let Some((i, j)) = pair(&parts, |a, b| cost(&a.with(b)) <= cost(a) + cost(b)) {
         let other = parts.swap_remove(j);
         parts[i] = parts[i].with(&other);
     }
     let total: f64 = parts.iter().map(cost).sum();
-    (total <= f64::from(scene.most_of_input)).then(|| parts.iter().map(window).collect())
+    (total <= f64::from(savings.most_of_input)).then(|| parts.iter().map(region).collect())
 }
 
 /// The first pair that `fits`.
@@ -103,7 +91,7 @@ fn pair(parts: &[Extent], fits: impl Fn(&Extent, &Extent) -> bool) -> Option<(us
 }
 
 /// The touched tiles, together where at most `near` tiles lie between them.
-fn groups(map: &Map, near: usize) -> Vec<Vec<[usize; 2]>> {
+fn groups(map: &TileMap, near: usize) -> Vec<Vec<[usize; 2]>> {
     let [rows, columns] = map.tiles;
     let mut left = vec![false; rows * columns];
     map.touched().for_each(|[x, y]| left[y * columns + x] = true);
@@ -133,34 +121,13 @@ fn groups(map: &Map, near: usize) -> Vec<Vec<[usize; 2]>> {
     groups
 }
 
-/// A detection of one part.
-pub(super) struct Found {
-    pub detection: Detection,
-    /// The score's logit: scores close to 1 are equal in f32 where these differ.
-    pub margin: f32,
-    /// The part's place among all.
-    pub part: usize,
-    /// Whether it reaches an edge of its part that is none of the input.
-    pub cut: bool,
-}
-
-/// Whether a box, in pixels of the whole input, reaches an edge of `window` that is none of the input.
-pub(super) fn is_cut(bbox: [f32; 4], window: &Window, [height, width]: [usize; 2]) -> bool {
-    let [x, y] = [window.x, window.y].map(|at| at as f32);
-    let [right, bottom] = [window.x + window.width, window.y + window.height];
-    (window.x > 0 && bbox[0] <= x + CUT)
-        || (window.y > 0 && bbox[1] <= y + CUT)
-        || (right < width && bbox[2] >= right as f32 - CUT)
-        || (bottom < height && bbox[3] >= bottom as f32 - CUT)
-}
-
 /// Leaves one detection of each snap that several parts saw: a whole one before one that its part cuts, then
 /// the better. Best first, at most `most`.
-pub(super) fn merged(mut found: Vec<Found>, iou: f32, most: usize) -> Vec<Detection> {
+pub(super) fn merged(mut found: Vec<RegionDetection>, iou: f32, most: usize) -> Vec<Detection> {
     found.sort_by(|a, b| a.cut.cmp(&b.cut).then(b.margin.total_cmp(&a.margin)));
-    let mut kept: Vec<Found> = Vec::new();
+    let mut kept: Vec<RegionDetection> = Vec::new();
     for one in found {
-        let same = |other: &Found| {
+        let same = |other: &RegionDetection| {
             other.part != one.part
                 && other.detection.class_index == one.detection.class_index
                 && overlap(other.detection.bbox, one.detection.bbox, iou)
@@ -187,10 +154,10 @@ mod tests {
 
     /// 40 × 40 mm at 8 pixels a millimetre.
     const SQUARE: Geometry = Geometry { resized: [320; 2], size: [320; 2] };
-    const SCENE: Scene = Scene { margin_mm: 4.0, most_of_input: 0.5, ..Scene::SAVING };
+    const SAVINGS: Savings = Savings { margin_mm: 4.0, most_of_input: 0.5, ..Savings::ALL };
 
-    fn seen(touched: &[[usize; 2]]) -> Option<Vec<Window>> {
-        windows(&Map::of([40, 40], touched), &SQUARE, &SCENE)
+    fn seen(touched: &[[usize; 2]]) -> Option<Vec<Region>> {
+        regions(&TileMap::of([40, 40], touched), &SQUARE, &SAVINGS)
     }
 
     /// Tiles of 8 pixels and a margin of 32: tiles 10 to 17 are pixels 80 to 144, with margin 48 to 176,
@@ -199,14 +166,14 @@ mod tests {
     fn a_contact_in_the_middle() {
         let got = seen(&[[10, 20], [17, 20]]).expect("a part");
         // One row, 160 to 168: with margin 128 to 200 are 72 pixels, in 96 that begin 8 earlier.
-        assert_eq!(got, [Window { x: 48, y: 120, width: 128, height: 96 }]);
+        assert_eq!(got, [Region { x: 48, y: 120, width: 128, height: 96 }]);
     }
 
     #[test]
     fn contacts_at_the_edges() {
         // Pixels 0 to 8, with margin to 40.
-        assert_eq!(seen(&[[0, 0]]), Some(vec![Window { x: 0, y: 0, width: 96, height: 96 }]));
-        let corner = Window { x: 224, y: 224, width: 96, height: 96 };
+        assert_eq!(seen(&[[0, 0]]), Some(vec![Region { x: 0, y: 0, width: 96, height: 96 }]));
+        let corner = Region { x: 224, y: 224, width: 96, height: 96 };
         assert_eq!(seen(&[[39, 39]]), Some(vec![corner]));
     }
 
@@ -228,7 +195,11 @@ mod tests {
         let diagonal: Vec<_> = (0..40).map(|i| [i, i]).collect();
         assert_eq!(seen(&diagonal), None);
         assert_eq!(
-            windows(&Map::of([40, 40], &[[2, 2]]), &SQUARE, &Scene { most_of_input: 0.1, ..SCENE }),
+            regions(
+                &TileMap::of([40, 40], &[[2, 2]]),
+                &SQUARE,
+                &Savings { most_of_input: 0.1, ..SAVINGS }
+            ),
             None
         );
     }
@@ -237,10 +208,10 @@ mod tests {
     #[test]
     fn parts_that_save_little_are_not_tried() {
         let parts = |touched: &[[usize; 2]]| {
-            windows(
-                &Map::of([40, 40], touched),
+            regions(
+                &TileMap::of([40, 40], touched),
                 &SQUARE,
-                &Scene { margin_mm: 4.0, ..Scene::default() },
+                &Savings { margin_mm: 4.0, ..Savings::default() },
             )
         };
         let corners = [[2, 2], [37, 37], [2, 37], [37, 2], [20, 20]];
@@ -253,14 +224,14 @@ mod tests {
     #[test]
     fn an_input_that_repeats_its_edge() {
         let geometry = Geometry { resized: [200, 160], size: [160, 224] };
-        let map = Map::of([20, 25], &[[24, 19]]);
-        let got = windows(&map, &geometry, &SCENE).expect("a part");
+        let map = TileMap::of([20, 25], &[[24, 19]]);
+        let got = regions(&map, &geometry, &SAVINGS).expect("a part");
         // Pixels 192 to 200 and margin up to 224: from 160, 64 long, in 96; 128 up to 160 in 96.
-        assert_eq!(got, [Window { x: 128, y: 64, width: 96, height: 96 }]);
+        assert_eq!(got, [Region { x: 128, y: 64, width: 96, height: 96 }]);
     }
 
     /// Its logit is to be the score's, as far as order goes.
-    fn found(part: usize, score: f32, bbox: [f32; 4], cut: bool) -> Found {
+    fn found(part: usize, score: f32, bbox: [f32; 4], cut: bool) -> RegionDetection {
         let detection = Detection {
             class: "A".into(),
             class_index: 0,
@@ -272,7 +243,7 @@ mod tests {
             yaw_std_deg: None,
             whole: None,
         };
-        Found { detection, margin: score, part, cut }
+        RegionDetection { detection, margin: score, part, cut }
     }
 
     #[test]
@@ -294,7 +265,7 @@ mod tests {
         let bbox = [10.0, 10.0, 50.0, 30.0];
         let of_class = |class_index: usize, part: usize, score: f32| {
             let found = found(part, score, bbox, false);
-            Found { detection: Detection { class_index, ..found.detection }, ..found }
+            RegionDetection { detection: Detection { class_index, ..found.detection }, ..found }
         };
         let three = [of_class(0, 0, 0.9), of_class(1, 1, 0.8), of_class(0, 2, 0.7)];
         let kept = merged(three.into(), 0.5, 100);
@@ -306,7 +277,7 @@ mod tests {
     /// snap, unless less overlap is enough.
     #[test]
     fn boxes_that_overlap_less_are_two_snaps() {
-        let two = || -> Vec<Found> {
+        let two = || -> Vec<RegionDetection> {
             let first = found(0, 0.9, [10.0, 10.0, 40.0, 30.0], false);
             vec![first, found(1, 0.8, [30.0, 10.0, 50.0, 30.0], false)]
         };
@@ -316,7 +287,7 @@ mod tests {
 
     #[test]
     fn of_equal_scores_the_logit_decides() {
-        let sure = |part: usize, margin: f32, bbox: [f32; 4]| Found {
+        let sure = |part: usize, margin: f32, bbox: [f32; 4]| RegionDetection {
             margin,
             ..found(part, 1.0, bbox, false)
         };
@@ -327,28 +298,14 @@ mod tests {
         assert_eq!(kept, [nearer, far]);
     }
 
-    #[test]
-    fn only_inner_edges_cut() {
-        let window = Window { x: 0, y: 64, width: 96, height: 96 };
-        let size = [160, 224];
-        assert!(!is_cut([0.0, 70.0, 50.0, 160.0], &window, size));
-        assert!(is_cut([0.0, 65.0, 50.0, 160.0], &window, size));
-        assert!(is_cut([40.0, 70.0, 95.0, 100.0], &window, size));
-        // The input's own right edge, and an inner left one.
-        let window = Window { x: 128, y: 0, width: 96, height: 96 };
-        assert!(!is_cut([140.0, 0.0, 224.0, 50.0], &window, size));
-        assert!(is_cut([129.0, 0.0, 150.0, 50.0], &window, size));
-        assert!(is_cut([140.0, 0.0, 150.0, 95.0], &window, size));
-    }
-
     /// Two inputs long and one high for the same number of millimetres: cells of 4 × 8 pixels. Tile (10, 5) is
     /// columns 80 to 88 and rows 80 to 96, and a millimetre 8 × 16 pixels. Parts are 96 long: of the 72 and 48
     /// pixels that are over half lies before, in whole eights.
     #[test]
     fn each_axis_has_a_scale_of_its_own() {
         let geometry = Geometry { resized: [320, 160], size: [160, 320] };
-        let scene = Scene { margin_mm: 1.0, ..SCENE };
-        let got = windows(&Map::of([10, 40], &[[10, 5]]), &geometry, &scene).expect("a part");
-        assert_eq!(got, [Window { x: 40, y: 40, width: 96, height: 96 }]);
+        let savings = Savings { margin_mm: 1.0, ..SAVINGS };
+        let got = regions(&TileMap::of([10, 40], &[[10, 5]]), &geometry, &savings).expect("a part");
+        assert_eq!(got, [Region { x: 40, y: 40, width: 96, height: 96 }]);
     }
 }

@@ -11,17 +11,16 @@ use crate::detector::{Config, Device};
 #[cfg(feature = "cpu")]
 use crate::engine::cpu::{self, CpuPlan};
 use crate::engine::gpu::{Deadline, Inputs, Program, ProgramOptions};
-use crate::engine::graph::{Graph, StageTime, TensorId};
+use crate::engine::graph::{Graph, StageTime, TensorId, Values};
 #[cfg(feature = "cpu")]
 use crate::engine::lock::lock;
-use crate::engine::lower::{Choice, Request, lower};
+use crate::engine::lower::{KernelChoice, Request, lower};
 use crate::engine::precision::Precision;
 use crate::error::Result;
-use crate::verify::comparison::{How, Values};
 
 /// The GPU on which a graph is to run.
 #[derive(Clone, Copy)]
-pub(super) struct On<'a> {
+pub(crate) struct On<'a> {
     pub pool: &'a Arc<Pool>,
     /// How maps and weights are stored.
     pub precision: Precision,
@@ -31,7 +30,7 @@ pub(super) struct On<'a> {
 
 /// What a run is given.
 #[derive(Clone, Copy)]
-pub(super) struct Given<'a> {
+pub(crate) struct Given<'a> {
     pub inputs: &'a Inputs<'a>,
     /// The bytes of a frame that is not copied, in place of the picture's tensor: for the CPU alone.
     #[cfg_attr(not(feature = "cpu"), expect(dead_code))]
@@ -39,17 +38,17 @@ pub(super) struct Given<'a> {
 }
 
 /// A graph made ready on a device.
-pub(super) enum Runner {
+pub(crate) enum Runner {
     Gpu(Slots),
     #[cfg(feature = "cpu")]
-    Host(Box<CpuPlan>, Turns),
+    Cpu(Box<CpuPlan>, Turns),
     Reference,
 }
 
 /// How many may compute at once, each with buffers of its own. Where callers have a core each, each
 /// computes alone, which takes longer and wastes nothing; else they take turns in using all cores.
 #[cfg(feature = "cpu")]
-pub(super) struct Turns {
+pub(crate) struct Turns {
     left: Mutex<usize>,
     back: Condvar,
 }
@@ -96,13 +95,13 @@ impl Runner {
         graph: &Graph,
         keep: &[TensorId],
         on: Option<On<'_>>,
-        choice: &Choice,
+        kernels: &KernelChoice,
         like: Option<&Self>,
     ) -> Result<Self> {
         Ok(match (on, &config.device) {
             (Some(On { pool, precision, batch }), _) => {
                 let (gpu, batch) = (pool.gpu(), batch as u32);
-                let request = Request { keep, batch, precision, caps: gpu.caps(), choice };
+                let request = Request { keep, batch, precision, caps: gpu.caps(), kernels };
                 let lowered = lower(graph, &request)?;
                 let like = match like {
                     Some(Self::Gpu(slots)) => Some(slots.program()),
@@ -115,26 +114,22 @@ impl Runner {
             #[cfg(feature = "cpu")]
             (None, _) => {
                 let like = match like {
-                    Some(Self::Host(plan, _)) => Some(&**plan),
+                    Some(Self::Cpu(plan, _)) => Some(&**plan),
                     _ => None,
                 };
                 let plan = CpuPlan::new(graph, keep, like)?;
-                Self::Host(Box::new(plan), Turns::new(config.in_flight))
+                Self::Cpu(Box::new(plan), Turns::new(config.in_flight))
             }
             #[cfg(not(feature = "cpu"))]
             (None, _) => Self::Reference,
         })
     }
 
-    /// How the graph is run, as far as errors depend on it.
-    pub fn how(&self) -> How<'_> {
+    /// What runs the graph on a GPU; `None` for the CPU.
+    pub fn program(&self) -> Option<&Program> {
         match self {
-            Self::Gpu(slots) => {
-                let program = slots.program();
-                let (kernels, precision) = (program.kernels(), program.precision());
-                How { kernels, precision, written: Some(program.stored()) }
-            }
-            _ => How::default(),
+            Self::Gpu(slots) => Some(slots.program()),
+            _ => None,
         }
     }
 
@@ -162,7 +157,7 @@ impl Runner {
         match self {
             Self::Reference => one_by_one(pictures, |given| graph.reference(given.inputs, keep)),
             #[cfg(feature = "cpu")]
-            Self::Host(plan, turns) => one_by_one(pictures, |given| {
+            Self::Cpu(plan, turns) => one_by_one(pictures, |given| {
                 let deadline = deadline.of_run();
                 let _turn = turns.take(deadline)?;
                 let given = cpu::Given { tensors: given.inputs, picture: given.picture };

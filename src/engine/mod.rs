@@ -13,6 +13,7 @@
 //! | [`kernels`] | what runs an operation on a device: its dispatches and their shaders |
 //! | [`lower`] | the kernels chosen for a graph, and what memory its tensors share |
 //! | [`gpu`] | the device, pipelines, memory, recordings; alone to name wgpu |
+//! | [`tuned`] | the kernels that were measured to be fastest on an adapter, as a file |
 //! | [`cpu`] | the graph in f32 on this machine's cores, for machines without an adapter |
 //!
 //! An operation is one stem in five places: `wgsl/conv2d/`, `src/engine/kernels/conv2d/`,
@@ -36,3 +37,4 @@ pub mod reference;
 pub mod shader;
 pub mod shape;
 pub mod tensor;
+pub mod tuned;

@@ -11,10 +11,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::engine::kernels;
 use crate::engine::precision::Precision;
+use crate::engine::tuned::Place;
 use crate::error::{Error, Result};
 use crate::files;
 use crate::smr::ModelConfig;
-use crate::verify::tune::Place;
 
 /// Longest file with a table.
 const MAX_FILE: u64 = 16 << 20;
@@ -28,7 +28,7 @@ pub struct Setup {
     pub size: Option<usize>,
     /// What runs it, as `--device` takes it.
     pub device: String,
-    /// Kernels that run wherever they fit, as [`crate::engine::lower::Choice::forced`]; empty for the default.
+    /// Kernels that run wherever they fit, as [`crate::engine::lower::KernelChoice::forced`]; empty for the default.
     pub kernels: Vec<String>,
     /// Pictures that are given at a time.
     pub batch: usize,

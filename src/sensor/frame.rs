@@ -227,6 +227,13 @@ impl fmt::Debug for Frame<'_> {
     }
 }
 
+impl<'a> From<&'a Frame<'_>> for Frame<'a> {
+    /// The same pixels, not copied.
+    fn from(frame: &'a Frame<'_>) -> Self {
+        Self { data: Cow::Borrowed(&frame.data), ..*frame }
+    }
+}
+
 #[cfg(feature = "image")]
 impl<'a> From<&'a image::DynamicImage> for Frame<'a> {
     fn from(picture: &'a image::DynamicImage) -> Self {

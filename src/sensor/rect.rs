@@ -73,6 +73,27 @@ impl fmt::Display for Rect {
     }
 }
 
+/// Pixels that some of `parts` cover.
+pub(crate) fn area(parts: &[Rect]) -> f64 {
+    // Between the columns where a part begins or ends all rows are alike.
+    let mut columns: Vec<u32> =
+        parts.iter().flat_map(|part| [part.x, part.x + part.width]).collect();
+    columns.sort_unstable();
+    let strips = columns.windows(2).map(|ends| {
+        let across = |part: &&Rect| part.x <= ends[0] && ends[1] <= part.x + part.width;
+        let mut rows: Vec<[u32; 2]> =
+            parts.iter().filter(across).map(|part| [part.y, part.y + part.height]).collect();
+        rows.sort_unstable();
+        let (mut covered, mut end) = (0, 0);
+        for [from, to] in rows {
+            covered += to.saturating_sub(from.max(end));
+            end = end.max(to);
+        }
+        f64::from(ends[1] - ends[0]) * f64::from(covered)
+    });
+    strips.sum()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -106,5 +127,16 @@ mod tests {
         let part = rect(10, 20, 35, 8);
         assert_eq!(part.middle(), [27.5, 24.0]);
         assert_eq!(part.central(2.0), rect(19, 20, 16, 8));
+    }
+
+    #[test]
+    fn what_parts_cover_counts_once() {
+        let rect = |x, y, width, height| Rect { x, y, width, height };
+        assert_eq!(area(&[]), 0.0);
+        assert_eq!(area(&[rect(3, 5, 4, 2)]), 8.0);
+        // A common corner of 2 × 3, one inside another, and one apart in the same columns.
+        let parts = [rect(0, 0, 10, 10), rect(8, 7, 10, 10), rect(2, 2, 3, 3), rect(0, 20, 10, 1)];
+        assert_eq!(area(&parts), 100.0 + 100.0 - 6.0 + 10.0);
+        assert_eq!(area(&[rect(0, 0, 2, 2), rect(2, 0, 2, 2), rect(0, 0, 2, 2)]), 8.0);
     }
 }

@@ -3,14 +3,14 @@
 use rand::Rng;
 use rand_pcg::Pcg64;
 
-use super::frame::Frame;
+use super::raster::Raster;
 use super::smooth;
 
 /// A pinhole camera that looks at the gel through the acrylic.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
     /// What its picture measures.
-    pub frame: Frame,
+    pub frame: Raster,
     /// Distance from the pinhole to the undeformed surface, in millimetres.
     pub distance_mm: f64,
     /// Where on the flat gel millimetres begin, in millimetres from the middle of the picture, which the
@@ -30,7 +30,7 @@ pub struct Camera {
 impl Default for Camera {
     fn default() -> Self {
         Self {
-            frame: Frame::PAPER,
+            frame: Raster::PAPER,
             distance_mm: 125.0,
             origin_mm: [0.0; 2],
             distortion: 0.0,

@@ -8,7 +8,7 @@ use glam::DVec2;
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
-use super::profile::{rectangle, rounded_edge, stroke};
+use super::outline::{rectangle, rounded_edge, stroke};
 use super::scene::Pose;
 
 /// Height far outside all shapes, in millimetres.

@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::camera::NormalTable;
-use super::frame::Frame;
+use super::raster::Raster;
 
 /// A soft round spot, in millimetres from the centre.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,7 +19,7 @@ struct Spot {
 
 impl Spot {
     /// Calls `f` with index, value, and offsets in millimetres for the pixels within three radii.
-    fn each(&self, frame: &Frame, mut f: impl FnMut(usize, f64, [f64; 2])) {
+    fn each(&self, frame: &Raster, mut f: impl FnMut(usize, f64, [f64; 2])) {
         let (size_px, size_mm) = (frame.size_px(), frame.size_mm());
         let reach = 3.0 * self.radius_mm[0].max(self.radius_mm[1]);
         let low = frame.to_px(self.center_mm.map(|center| center - reach));
@@ -57,7 +57,7 @@ struct Scratch {
 /// The coating of one sensor at one age.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Coating {
-    frame: Frame,
+    frame: Raster,
     /// Level of the flat gel at its centre, for each channel.
     levels: [f64; 3],
     /// For each channel the lights' bright sides: where, how wide (of half the picture), how much.
@@ -75,7 +75,7 @@ pub struct Coating {
 
 impl Coating {
     /// Draws a coating that fills this frame.
-    pub fn sample(rng: &mut Pcg64, frame: &Frame) -> Self {
+    pub fn sample(rng: &mut Pcg64, frame: &Raster) -> Self {
         let half = frame.size_mm().map(|side| side / 2.0);
         let place = |rng: &mut Pcg64| half.map(|half| rng.random_range(-half..half));
         let grey = rng.random_range(75.0..185.0);
@@ -247,7 +247,7 @@ impl Coating {
 /// Adds noise from a turned grid of `columns` × `rows` nodes over the picture's diagonal.
 fn add_noise(
     texture: &mut [f32],
-    frame: &Frame,
+    frame: &Raster,
     normal: &NormalTable,
     rng: &mut Pcg64,
     [columns, rows]: [usize; 2],
@@ -278,7 +278,7 @@ fn add_noise(
     }
 }
 
-fn draw_scratch(texture: &mut [f32], frame: &Frame, scratch: &Scratch) {
+fn draw_scratch(texture: &mut [f32], frame: &Raster, scratch: &Scratch) {
     let (size_px, size_mm) = (frame.size_px(), frame.size_mm());
     let width = scratch.width_mm / size_mm[0] * size_px[0];
     let reach = (2.5 * width).ceil();

@@ -9,8 +9,8 @@ use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
 use super::forced::{Forced, Span};
-use super::frame::{FIELD_MM, Frame};
 use super::label::PixelBox;
+use super::raster::{FIELD_MM, Raster};
 
 /// From what a picture's conditions are drawn.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -126,7 +126,7 @@ const STRONG: [Strong; 12] = [
 
 impl Conditions {
     /// Draws the frame and the conditions of a wide picture.
-    pub fn sample(rng: &mut Pcg64, forced: &Forced) -> (Frame, Self) {
+    pub fn sample(rng: &mut Pcg64, forced: &Forced) -> (Raster, Self) {
         let frame = sample_frame(rng, forced);
         let count = match rng.random_range(0..10) {
             _ if forced.mild => 0,
@@ -289,17 +289,17 @@ const FRAMES_PX: [[usize; 2]; 9] = [
 /// Fewest pixels a millimetre: three quarters of the scale that the network sees.
 const LEAST_PX_PER_MM: f64 = 6.0;
 
-fn sample_frame(rng: &mut Pcg64, forced: &Forced) -> Frame {
+fn sample_frame(rng: &mut Pcg64, forced: &Forced) -> Raster {
     let mut frame = match rng.random_range(0..100) {
-        _ if forced.mild => Frame::PAPER,
-        0..20 => Frame::PAPER,
-        20..40 => Frame::GELSIGHT_MINI,
+        _ if forced.mild => Raster::PAPER,
+        0..20 => Raster::PAPER,
+        20..40 => Raster::GELSIGHT_MINI,
         _ => {
             let [width, height] = *FRAMES_PX.choose(rng).unwrap_or(&[640, 480]);
             let longer = width.max(height) as f64;
             let most = FIELD_MM[1].min(longer / LEAST_PX_PER_MM);
             let field = rng.random_range(FIELD_MM[0].ln()..most.ln()).exp();
-            Frame { width, height, mm_per_pixel: field / longer }
+            Raster { width, height, mm_per_pixel: field / longer }
         }
     };
     frame = forced.frame.unwrap_or(frame);

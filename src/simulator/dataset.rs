@@ -30,8 +30,8 @@ use serde_json::ser::{CompactFormatter, Formatter};
 use super::conditions::{Conditions, Distribution};
 use super::distractors::Part;
 use super::forced::Forced;
-use super::frame::Frame;
 use super::label::Label;
+use super::raster::Raster;
 use super::render::{Rendered, Renderer, Request};
 use super::scene::Mix;
 use super::snaps::Kind;
@@ -138,7 +138,7 @@ fn simulator(conditions: Distribution) -> u32 {
 #[derive(Serialize, Deserialize)]
 struct Sidecar {
     scene_seed: u64,
-    frame: Frame,
+    frame: Raster,
     conditions: Conditions,
     /// Size of the picture's file.
     picture_bytes: u64,

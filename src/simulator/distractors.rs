@@ -5,7 +5,7 @@ use rand_pcg::Pcg64;
 
 use super::clutter::Clutter;
 use super::forced::Forced;
-use super::profile::{rectangle, rounded_edge, smooth_min, stroke};
+use super::outline::{rectangle, rounded_edge, smooth_min, stroke};
 use super::snaps::Stud;
 
 /// The recess of a screw's head.

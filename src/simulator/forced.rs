@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use super::conditions::{MILD_GEL_MM, Mechanics, Optics};
 use super::distractors::Drive;
-use super::frame::{FIELD_MM, Frame};
+use super::raster::{FIELD_MM, Raster};
 
 /// A number, or a range from which it is drawn evenly.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -36,7 +36,7 @@ pub struct Forced {
     /// colour, which is drawn as ever.
     pub mild: bool,
     /// The frame.
-    pub frame: Option<Frame>,
+    pub frame: Option<Raster>,
     /// Factor on the size at which things appear, beside the frame's own scale, as far as fields of
     /// [`FIELD_MM`] go.
     pub scale: Option<Span>,
@@ -224,8 +224,8 @@ impl Forced {
             return Ok(());
         }
         match (key, value) {
-            ("frame", Some("paper")) => self.frame = Some(Frame::PAPER),
-            ("frame", Some("gelsight-mini")) => self.frame = Some(Frame::GELSIGHT_MINI),
+            ("frame", Some("paper")) => self.frame = Some(Raster::PAPER),
+            ("frame", Some("gelsight-mini")) => self.frame = Some(Raster::GELSIGHT_MINI),
             ("frame", Some(text)) => {
                 let wanted = || {
                     error(
@@ -261,10 +261,10 @@ impl Forced {
 }
 
 /// `WIDTHxHEIGHT@MM_PER_PIXEL` with a field that the simulator draws.
-fn parse_frame(text: &str) -> Option<Frame> {
+fn parse_frame(text: &str) -> Option<Raster> {
     let (size, mm) = text.split_once('@')?;
     let (width, height) = size.split_once('x')?;
-    let frame = Frame {
+    let frame = Raster {
         width: width.parse().ok()?,
         height: height.parse().ok()?,
         mm_per_pixel: mm.parse().ok()?,
@@ -301,7 +301,7 @@ impl fmt::Display for Forced {
                 fields => match (fields.get("low"), fields.get("high")) {
                     (Some(low), Some(high)) => format!("{low}..{high}"),
                     _ => {
-                        let frame = self.frame.unwrap_or(Frame::PAPER);
+                        let frame = self.frame.unwrap_or(Raster::PAPER);
                         format!("{}x{}@{}", frame.width, frame.height, frame.mm_per_pixel)
                     }
                 },

@@ -1,6 +1,6 @@
 //! A user's own sensor, as its file describes it: pictures are drawn as it would take them.
 //!
-//! Frame, the gel's part of it, scale and distortion replace what is drawn by lot; so do the light, if
+//! Raster, the gel's part of it, scale and distortion replace what is drawn by lot; so do the light, if
 //! the file has one, and, if it names a frame without contact, the flat gel's picture: its colours,
 //! texture, print and housing are then those of that frame. Its noise is in it too, and the same in
 //! all pictures. Printed dots on it stay where they are when the gel moves.
@@ -8,12 +8,12 @@
 use std::path::PathBuf;
 
 use super::Error;
+use super::appearance::{Appearance, Flat, Housing, Light};
 use super::conditions::{Conditions, Optics, UNIT_CONTRAST};
 use super::forced::{Forced, Span};
-use super::frame::{Frame, SIDE_PX};
 use super::label::PixelBox;
-use super::look::{Flat, Housing, Light, Look};
 use super::optics::{Channel, Shading};
+use super::raster::{Raster, SIDE_PX};
 use crate::picture;
 use crate::sensor::rect::Rect;
 use crate::sensor::scale::PAPER_MM;
@@ -26,7 +26,7 @@ const DARK: f32 = 8.0;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Given {
     sensor: Sensor,
-    frame: Frame,
+    frame: Raster,
     gel: Rect,
     window: PixelBox,
     shading: Option<Shading>,
@@ -55,7 +55,7 @@ impl Given {
         // The detector assumes the same of a sensor without a scale.
         let assumed = PAPER_MM / gel.width.min(gel.height) as f32;
         let mm_per_pixel = scale.map_or(assumed, |scale| scale.mm_per_pixel);
-        let frame = Frame {
+        let frame = Raster {
             width: width as usize,
             height: height as usize,
             // As many digits as single precision has.
@@ -94,7 +94,7 @@ impl Given {
     }
 
     /// The frame that it takes.
-    pub fn frame(&self) -> Frame {
+    pub fn frame(&self) -> Raster {
         self.frame
     }
 
@@ -151,7 +151,7 @@ impl Given {
     }
 
     /// Gives a drawn look the sensor's light, flat gel, print and housing.
-    pub fn dress(&self, look: &mut Look) {
+    pub fn dress(&self, look: &mut Appearance) {
         if let Some(shading) = &self.shading {
             if let Some(shadows) = &mut look.shadows {
                 for (channel, ray) in shadows.rays.iter_mut().take(3).enumerate() {

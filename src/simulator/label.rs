@@ -176,14 +176,14 @@ mod tests {
     use rand_pcg::Pcg64;
 
     use super::*;
-    use crate::simulator::frame::Frame;
+    use crate::simulator::raster::Raster;
     use crate::simulator::scene::Scene;
     use crate::simulator::smooth;
 
     /// The label of a snap on a gel of 16 mm at the right of a frame of 32 mm, seen through a lens that
     /// bends its corners by a fifth; how deep the gel goes, and the middle of what goes deepest in pixels.
     fn pressed(kind: Kind, center_mm: [f64; 2], yaw: f64) -> (Label, f64, [f64; 2]) {
-        let frame = Frame { width: 640, height: 480, mm_per_pixel: 0.05 };
+        let frame = Raster { width: 640, height: 480, mm_per_pixel: 0.05 };
         let mut camera = Camera { frame, distortion: 0.2, ..Camera::default() };
         let window = [320.0, 80.0, 640.0, 400.0];
         camera.origin_mm = camera.flat_place(480.0, 240.0);

@@ -2,17 +2,17 @@
 //!
 //! | step | module | what it does |
 //! |---|---|---|
-//! | parts | [`snaps`], [`distractors`], [`clutter`], [`profile`] | height fields of what presses on the gel |
+//! | parts | [`snaps`], [`distractors`], [`clutter`], [`outline`] | height fields of what presses on the gel |
 //! | layout | [`scene`], [`layout`] | draws a plain or a wide scene and makes one rigid body of it |
 //! | mechanics | [`gel`], [`contact`], [`smooth`], [`surface`] | the gel's surface under that body |
-//! | conditions | [`frame`], [`conditions`], [`forced`] | what differs from sensor to sensor, drawn or forced |
+//! | conditions | [`raster`], [`conditions`], [`forced`] | what differs from sensor to sensor, drawn or forced |
 //! | light | [`optics`], [`lamps`], [`shadow`] | brightness of a slope, measured or modelled; shadows |
 //! | coating | [`coating`], [`markers`] | the coating, its wear and its dust; its print |
 //! | camera | [`camera`] | parallax, distortion, defocus, noise, 8 bits |
 //! | labels | [`label`] | boxes round the imprints, seen through the same camera |
 //! | press | [`press`] | one press as frames in their order |
 //! | one sensor | [`given`] | a user's own sensor, from its file |
-//! | picture | [`look`], [`render`] | one sensor's picture of a surface; all of it for one seed |
+//! | picture | [`appearance`], [`render`] | one sensor's picture of a surface; all of it for one seed |
 //! | files | [`dataset`] | folders of pictures with COCO labels |
 //! | truth | [`calibrate`] | fits the optics to real presses and measures the distance to them |
 //!
@@ -40,6 +40,7 @@
 //! to real pictures that [`calibrate`] reports is what that costs on a ball; no real picture of a
 //! snap has been compared.
 
+pub mod appearance;
 pub mod calibrate;
 pub mod camera;
 pub mod clutter;
@@ -49,17 +50,16 @@ pub mod contact;
 pub mod dataset;
 pub mod distractors;
 pub mod forced;
-pub mod frame;
 pub mod gel;
 pub mod given;
 pub mod label;
 pub mod lamps;
 pub mod layout;
-pub mod look;
 pub mod markers;
 pub mod optics;
+pub mod outline;
 pub mod press;
-pub mod profile;
+pub mod raster;
 pub mod render;
 pub mod scene;
 pub mod shadow;

@@ -5,8 +5,8 @@ use std::f64::consts::TAU;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use super::appearance::Appearance;
 use super::camera::Camera;
-use super::look::Look;
 use super::scene::{Mix, Placed, Scene, sample_tilt, sample_yaw};
 use super::snaps::Snap;
 
@@ -27,7 +27,7 @@ pub struct Press {
     /// At its deepest, where it begins.
     snap: Placed<Snap>,
     slide_mm: [f64; 2],
-    look: Look,
+    look: Appearance,
     /// Of the light: how often it goes up and down in all frames, from where, and its change in all.
     waves: f64,
     phase: f64,
@@ -52,7 +52,7 @@ impl Press {
         Self {
             snap: Placed { part, center_mm, yaw, tilt, depth_mm },
             slide_mm: [distance * f64::cos(angle), distance * f64::sin(angle)],
-            look: Look::plain(rng, camera),
+            look: Appearance::plain(rng, camera),
             waves: rng.random_range(0.5..3.0),
             phase: rng.random_range(0.0..TAU),
             change: rng.random_range(-DRIFT[1]..DRIFT[1]),
@@ -60,7 +60,7 @@ impl Press {
     }
 
     /// What presses, and the sensor's look, in one of [`Press::FRAMES`] frames.
-    pub fn at(&self, frame: usize) -> (Scene, Look) {
+    pub fn at(&self, frame: usize) -> (Scene, Appearance) {
         let mut scene = Scene { snaps: Vec::new(), distractors: Vec::new() };
         let depth_mm = self.snap.depth_mm * pressed(frame);
         if depth_mm > 0.0 {
@@ -74,7 +74,7 @@ impl Press {
             + DRIFT[0] * f64::sin(TAU * self.waves * time + self.phase)
             + self.change * (time - 0.5);
         let exposure = self.look.exposure * light as f32;
-        (scene, Look { exposure, ..self.look.clone() })
+        (scene, Appearance { exposure, ..self.look.clone() })
     }
 }
 

@@ -7,26 +7,26 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::Error;
+use super::appearance::{Appearance, Light, Painter, Sideways};
 use super::camera::Camera;
 use super::conditions::{Conditions, Distribution, Mechanics, Optics, UNIT_CONTRAST};
 use super::contact::{Contact, Stop, solve};
 use super::dataset::scene_seed;
 use super::distractors::Part;
 use super::forced::Forced;
-use super::frame::Frame;
 use super::gel::{Elasticity, Grid, Layer};
 use super::given::Given;
 use super::label::{Label, PixelBox, imprints, labels, visible_share};
 use super::layout::Region;
-use super::look::{Light, Look, Painter, Sideways};
 use super::press::Press;
+use super::raster::Raster;
 use super::scene::{Mix, Scene};
 use super::smooth;
 use super::surface::Surface;
 
 /// Cells of a plain picture's contact: the gel, two pixels a cell, and 5.6 mm of free gel round it, 28 %
 /// more along a side, so that the periodic images are far.
-pub const GRID: Grid = Grid { cells: 640, spacing_mm: 2.0 * Frame::PAPER.mm_per_pixel };
+pub const GRID: Grid = Grid { cells: 640, spacing_mm: 2.0 * Raster::PAPER.mm_per_pixel };
 
 /// When the contact is good enough: half a micrometre.
 pub const STOP: Stop = Stop { tolerance_mm: 5e-4, max_iterations: 150 };
@@ -82,7 +82,7 @@ pub struct Rendered {
     /// The picture.
     pub picture: RgbImage,
     /// What it measures.
-    pub frame: Frame,
+    pub frame: Raster,
     /// How it was taken.
     pub conditions: Conditions,
     /// Labels of all snaps in it.
@@ -169,7 +169,7 @@ impl Renderer {
     }
 
     fn plain(&mut self, seed: u64, mix: Mix) -> Result<Rendered, Error> {
-        let frame = Frame::PAPER;
+        let frame = Raster::PAPER;
         let plan = self.plain.get_or_insert_with(|| Plan::new(Layer::default(), GRID));
         let mut rng = Pcg64::seed_from_u64(seed);
         let camera = Camera { blur_px: rng.random_range(0.6..2.2), ..Camera::default() };
@@ -186,7 +186,7 @@ impl Renderer {
             let found = labels(&scene.snaps, &found, &camera, window);
             let Some(labels) = found else { continue };
             let surface = Surface::new(GRID, contact.displacement);
-            let look = Look::plain(&mut rng, camera);
+            let look = Appearance::plain(&mut rng, camera);
             let picture = self.painter.paint(&look, &surface, None, &mut rng);
             let conditions = plain_conditions(&look, plan.layer, window);
             return Ok(Rendered { picture, frame, conditions, labels });
@@ -198,7 +198,7 @@ impl Renderer {
         &mut self,
         seed: u64,
         request: &Request,
-        frame: Frame,
+        frame: Raster,
         conditions: Conditions,
         scenes: &mut Pcg64,
         sensor: &mut Pcg64,
@@ -215,7 +215,7 @@ impl Renderer {
         let mut camera = Camera {
             frame,
             distance_mm: if request.forced.mild {
-                125.0 * longer_mm / Frame::PAPER.longer_mm()
+                125.0 * longer_mm / Raster::PAPER.longer_mm()
             } else {
                 longer_mm * sensor.random_range(1.5..4.0)
             },
@@ -259,7 +259,7 @@ impl Renderer {
             };
             let found = imprints(&body, &contact, grid, &camera, window, scene.snaps.len());
             let Some(labels) = labels(&scene.snaps, &found, &camera, window) else { continue };
-            let mut look = Look::wide(sensor, camera, &conditions);
+            let mut look = Appearance::wide(sensor, camera, &conditions);
             if let Some(given) = &request.sensor {
                 given.dress(&mut look);
             }
@@ -301,7 +301,7 @@ impl Plan {
 
 /// The grid of a wide picture's contact: two pixels a cell within 0.05 and 0.08 mm, no more than
 /// 640 cells, a number whose transforms are fast.
-pub fn contact_grid(frame: &Frame, gel_mm: [f64; 2]) -> Grid {
+pub fn contact_grid(frame: &Raster, gel_mm: [f64; 2]) -> Grid {
     const CELLS: [usize; 16] =
         [240, 256, 288, 320, 360, 384, 400, 432, 450, 480, 500, 512, 540, 576, 600, 640];
     let side = f64::max(gel_mm[0], gel_mm[1]) + 2.0 * FREE_MM;
@@ -312,7 +312,7 @@ pub fn contact_grid(frame: &Frame, gel_mm: [f64; 2]) -> Grid {
 
 /// What of the gel a window of the picture shows without the lens, in millimetres from what is seen at
 /// `middle`: where parts are laid out.
-fn region(frame: &Frame, [x0, y0, x1, y1]: PixelBox, middle: [f64; 2]) -> Region {
+fn region(frame: &Raster, [x0, y0, x1, y1]: PixelBox, middle: [f64; 2]) -> Region {
     let [left, top] = frame.to_mm(middle);
     let ([a, b], [c, d]) = (frame.to_mm([x0, y0]), frame.to_mm([x1, y1]));
     [a - left, b - top, c - left, d - top]
@@ -326,7 +326,7 @@ fn shown(camera: &Camera, [x0, y0, x1, y1]: PixelBox, field_mm: [f64; 2]) -> [f6
         .map(|axis| corners.iter().fold(field_mm[axis], |size, at| size.max(2.0 * at[axis].abs())))
 }
 
-fn plain_conditions(look: &Look, layer: Layer, window: PixelBox) -> Conditions {
+fn plain_conditions(look: &Appearance, layer: Layer, window: PixelBox) -> Conditions {
     let contrast = match &look.light {
         Light::Measured(shading) => shading.contrast(),
         Light::Lamps(lamps) => lamps.contrast(),
@@ -359,7 +359,7 @@ mod tests {
     /// The corners lie half a diagonal from the middle: there the lens shows 1 + κ of the field.
     #[test]
     fn what_a_lens_shows_in_the_corners_is_drawn() {
-        let frame = Frame { width: 640, height: 480, mm_per_pixel: 0.05 };
+        let frame = Raster { width: 640, height: 480, mm_per_pixel: 0.05 };
         for (distortion, size) in [(0.5, [48.0, 36.0]), (0.0, [32.0, 24.0]), (-0.3, [32.0, 24.0])] {
             let camera = Camera { frame, distortion, ..Camera::default() };
             let found = shown(&camera, [0.0, 0.0, 640.0, 480.0], frame.size_mm());

@@ -6,12 +6,12 @@ use rand_pcg::Pcg64;
 
 use super::contact::NO_BODY;
 use super::distractors::Distractor;
-use super::frame::Frame;
 use super::gel::Grid;
+use super::raster::Raster;
 use super::snaps::{Kind, Snap};
 
 /// Side of the paper's gel in millimetres: plain scenes lie on it.
-const GEL_MM: f64 = Frame::PAPER.width as f64 * Frame::PAPER.mm_per_pixel;
+const GEL_MM: f64 = Raster::PAPER.width as f64 * Raster::PAPER.mm_per_pixel;
 
 /// Least free space between two parts, in millimetres.
 const CLEARANCE_MM: f64 = 0.8;

@@ -15,7 +15,7 @@ use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
 use super::forced::{Forced, Span};
-use super::profile::{rectangle, rounded_edge, smooth_min};
+use super::outline::{rectangle, rounded_edge, smooth_min};
 
 /// A kind of snap joint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]

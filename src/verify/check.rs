@@ -9,7 +9,7 @@ use std::sync::Arc;
 use crate::engine::gpu::{Deadline, Gpu, Poison, Profile, Program, ProgramOptions, Slot};
 use crate::engine::graph::{Graph, TensorId};
 use crate::engine::kernels::{self, Kernel, Layout, Work};
-use crate::engine::lower::{Choice, Lowered, Request, lower};
+use crate::engine::lower::{KernelChoice, Lowered, Request, lower};
 use crate::engine::ops::case::WEIGHTS;
 use crate::engine::ops::op::Tolerance;
 use crate::engine::ops::{Case, Entry, Expected, OPS, Op, Report, TopK};
@@ -508,8 +508,9 @@ impl Single {
             names = next.outputs();
         }
         outputs.iter().for_each(|id| graph.mark_output(*id));
-        let choice = if kernel.is_empty() { Choice::default() } else { Choice::force(kernel)? };
-        let request = Request { keep: &[], batch, precision, caps: gpu.caps(), choice: &choice };
+        let kernels =
+            if kernel.is_empty() { KernelChoice::default() } else { KernelChoice::force(kernel)? };
+        let request = Request { keep: &[], batch, precision, caps: gpu.caps(), kernels: &kernels };
         let lowered = lower(&graph, &request)?;
         let has_halves = lowered.recording.tensors().iter().any(|t| t.precision.is_half());
         let written = outputs.iter().map(|id| lowered.stored(*id)).collect();

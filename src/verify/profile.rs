@@ -8,7 +8,7 @@ use std::time::Duration;
 use crate::engine::gpu::{Gpu, Profile, Program, ProgramOptions, Slot};
 use crate::engine::graph::{Graph, TensorId};
 use crate::engine::kernels::{Caps, Command, Grid, Recording, Role, TensorInfo, roof};
-use crate::engine::lower::{Choice, Lowered, Request, lower};
+use crate::engine::lower::{KernelChoice, Lowered, Request, lower};
 use crate::engine::precision::Precision;
 use crate::engine::shader::reflect;
 use crate::engine::shape::{Extent, TensorSpec};
@@ -67,10 +67,10 @@ pub struct Cost {
 pub fn costs(
     graph: &Graph,
     caps: &Caps,
-    choice: &Choice,
+    kernels: &KernelChoice,
     precision: Precision,
 ) -> Result<Vec<Cost>> {
-    let lowered = lower(graph, &Request { keep: &[], batch: 1, precision, caps, choice })?;
+    let lowered = lower(graph, &Request { keep: &[], batch: 1, precision, caps, kernels })?;
     let recording = &lowered.recording;
     let mut found: Vec<Cost> = Vec::new();
     for (command, node) in recording.commands().iter().zip(&lowered.owners) {
@@ -125,10 +125,10 @@ pub fn commands(
     gpu: &Arc<Gpu>,
     graph: &Graph,
     inputs: &[(TensorId, &Value)],
-    (choice, precision): (&Choice, Precision),
+    (kernels, precision): (&KernelChoice, Precision),
     runs: usize,
 ) -> Result<Vec<CommandTime>> {
-    let request = Request { keep: &[], batch: 1, precision, caps: gpu.caps(), choice };
+    let request = Request { keep: &[], batch: 1, precision, caps: gpu.caps(), kernels };
     let lowered = lower(graph, &request)?;
     let names: Vec<(usize, String)> = lowered
         .owners
@@ -233,7 +233,7 @@ mod tests {
         let output = graph.apply1("conv", op, &[input, weight]).expect("a map");
         graph.mark_output(output);
         let value = Value::from(Tensor::<f32>::zeros([64, 64, 64]));
-        let how = (&Choice::force("conv2d/alone").expect("a kernel"), Precision::F32);
+        let how = (&KernelChoice::force("conv2d/alone").expect("a kernel"), Precision::F32);
         let times = commands(&gpu, &graph, &[(input, &value)], how, 2).expect("times");
         assert!(times.iter().any(|time| time.what == "copy"), "{times:?}");
         let none: Vec<_> = times.iter().filter(|time| time.time.is_zero()).collect();
@@ -251,7 +251,7 @@ mod tests {
         let output = graph.apply1("gather", GatherRows {}, &[input, indices, count]);
         graph.mark_output(output.expect("rows"));
         let value = Value::from(Tensor::from_fn([10], |i| i as u32));
-        let how = (&Choice::default(), Precision::F32);
+        let how = (&KernelChoice::default(), Precision::F32);
         let times = commands(&gpu, &graph, &[(input, &value)], how, 1).expect("times");
         assert_eq!(times.iter().map(|time| time.bytes).sum::<u64>(), 4 * (10 + 5 + 1 + 5));
     }

@@ -1,7 +1,7 @@
 use crate::support::{check_op, refusal};
 use smr_gpu::Precision;
 use smr_gpu::engine::kernels::{Caps, Work};
-use smr_gpu::engine::lower::Choice;
+use smr_gpu::engine::lower::KernelChoice;
 use smr_gpu::engine::ops::{MaxPool2d, Op};
 use smr_gpu::engine::shape::TensorSpec;
 
@@ -43,6 +43,6 @@ fn a_map_whose_quads_fit_no_buffer_is_pooled_planar() {
             precision: Precision::F32,
             caps: &Caps::default(),
         };
-        assert_eq!(Choice::default().kernel(&work).expect("a kernel").id(), kernel, "{edge}");
+        assert_eq!(KernelChoice::default().kernel(&work).expect("a kernel").id(), kernel, "{edge}");
     }
 }

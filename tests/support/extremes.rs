@@ -165,7 +165,7 @@ pub enum Outcome {
 }
 
 pub fn outcome(detector: &GpuDetector, pixels: &[u8], [width, height]: [u32; 2]) -> Outcome {
-    match detector.detect_frame(&Frame::new(pixels, width, height, PixelFormat::Rgb8)) {
+    match detector.detect(Frame::new(pixels, width, height, PixelFormat::Rgb8)) {
         Ok(found) if is_finite(&found) => Outcome::Finite(found),
         Ok(found) => Outcome::Other(format!("{:?}", found.detections)),
         Err(Error::NotFinite { stage, .. }) => Outcome::NotFinite(stage),

@@ -6,7 +6,7 @@ use smr_gpu::Precision;
 use smr_gpu::engine::gpu::{Gpu, GpuOptions};
 use smr_gpu::engine::graph::Graph;
 use smr_gpu::engine::kernels::Caps;
-use smr_gpu::engine::lower::{Choice, Request, lower};
+use smr_gpu::engine::lower::{KernelChoice, Request, lower};
 use smr_gpu::engine::ops::{self, Op};
 use smr_gpu::engine::shape::{Extent, TensorSpec};
 use smr_gpu::verify::check::{Selection, Target, rows};
@@ -49,10 +49,10 @@ pub fn record(op: impl Op + 'static, inputs: &[TensorSpec]) -> smr_gpu::Result<(
     let ids: Vec<_> = ids.collect();
     let outputs = graph.apply("op", op, &ids).expect("inputs that fit");
     outputs.iter().for_each(|id| graph.mark_output(*id));
-    let (caps, choice) = (Caps::default(), Choice::default());
+    let (caps, kernels) = (Caps::default(), KernelChoice::default());
     lower(
         &graph,
-        &Request { keep: &[], batch: 1, precision: Precision::F32, caps: &caps, choice: &choice },
+        &Request { keep: &[], batch: 1, precision: Precision::F32, caps: &caps, kernels: &kernels },
     )
     .map(|_| ())
 }

@@ -404,7 +404,7 @@ fn look(
     let checked = labelled.picture.check_size(picture.width(), picture.height());
     checked.map_err(|e| failed(e.to_string()))?;
     let frame = stated.of(labelled, Frame::from(&picture));
-    detector.detect_frame(&frame).map_err(|e| Failure::about(source, &e))
+    detector.detect(&frame).map_err(|e| Failure::about(source, &e))
 }
 
 /// What a picture shows and what was found in it.

@@ -6,12 +6,12 @@ use std::time::Instant;
 
 use image::DynamicImage;
 use indicatif::{ProgressBar, ProgressStyle};
-use smr_gpu::detector::Stages;
 use smr_gpu::engine::tensor::Value;
 use smr_gpu::evaluation::metrics::box_iou;
 use smr_gpu::evaluation::tradeoff::{Measured, Quality, Setup, Shift, Spread, StageError, Table};
 use smr_gpu::evaluation::{Figures, LEAST_SCORE, Seen, figures};
 use smr_gpu::verify::comparison::relative_l2;
+use smr_gpu::verify::{self, Stages};
 use smr_gpu::{Config, Detection, Detections, Frame, GpuDetector};
 
 use super::super::detector;
@@ -217,7 +217,7 @@ impl Runner {
         let frames = group.iter().map(|s| frame(s.labelled, &s.picture));
         let start = Instant::now();
         let found: Vec<_> = match group {
-            [_] => frames.map(|f| self.detector.detect_frame(&f)).collect(),
+            [_] => frames.map(|f| self.detector.detect(&f)).collect(),
             _ => self.detector.detect_many(frames.collect::<Vec<_>>()).collect(),
         };
         let ms = start.elapsed().as_secs_f64() * 1e3 / group.len() as f64;
@@ -237,7 +237,7 @@ impl Runner {
 
 fn build(setup: &Setup, keep_stages: bool) -> Result<GpuDetector, Failure> {
     let (config, _) = configured(setup, Config::new(weights_of(setup)?))?;
-    detector::open(config.score(LEAST_SCORE as f32).keep_stages(keep_stages))
+    detector::open(Config { score: LEAST_SCORE as f32, keep_stages, ..config })
 }
 
 fn frame<'a>(labelled: &Labelled, picture: &'a DynamicImage) -> Frame<'a> {
@@ -249,12 +249,12 @@ fn look(
     labelled: &Labelled,
     picture: &DynamicImage,
 ) -> Result<Detections, Failure> {
-    let found = detector.detect_frame(&frame(labelled, picture));
+    let found = detector.detect(frame(labelled, picture));
     found.map_err(|e| Failure::about(&labelled.source, &e))
 }
 
 fn stages(detector: &GpuDetector, sample: &Sample) -> Result<Stages, Failure> {
-    let found = detector.detect_with_stages(&frame(sample.labelled, &sample.picture));
+    let found = verify::stages(detector, &frame(sample.labelled, &sample.picture));
     Ok(found.map_err(|e| Failure::about(&sample.labelled.source, &e))?.1)
 }
 

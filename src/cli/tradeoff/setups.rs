@@ -4,15 +4,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use smr_gpu::engine::gpu::Gpu;
-use smr_gpu::engine::lower::Choice;
+use smr_gpu::engine::lower::KernelChoice;
+use smr_gpu::engine::tuned::Place;
 use smr_gpu::evaluation::tradeoff::{Measured, Setup, Table, digest};
-use smr_gpu::verify::tune::Place;
 use smr_gpu::{Config, Device, Precision, WeightSource};
 
 use super::super::detector::{open_gpu, weight_file};
 use super::super::exit::{Exit, Failure};
 
-/// Families of kernels that are measured beside the default choice.
+/// Families of kernels that are measured beside the default kernels.
 const FAMILIES: [&[&str]; 3] =
     [&["conv2d/direct", "conv2d/split"], &["conv2d/winograd"], &["conv2d/planar", "linear/planar"]];
 /// Pictures at a time, beside one.
@@ -182,11 +182,11 @@ pub(in crate::cli) fn configured(
     config.input_size = setup.size;
     config.precision = setup.precision;
     config.device = setup.device.parse::<Device>()?;
-    config.choice = Choice { forced: setup.kernels.clone(), ..Choice::default() };
+    config.kernels = KernelChoice { forced: setup.kernels.clone(), ..KernelChoice::default() };
     config.batch = setup.batch;
     // What a table says of errors is of whole pictures and all scales: parts move boxes, too.
-    config.scene.regions = false;
-    config.scene.scales = false;
+    config.savings.regions = false;
+    config.savings.scales = false;
     let gpu = open_gpu(&config.device)?;
     Ok((config, gpu.map(|gpu| Place::of(&gpu))))
 }

@@ -87,7 +87,7 @@ mod tests {
     use super::*;
     use crate::engine::gpu::{GpuOptions, Program, ProgramOptions, Slot};
     use crate::engine::graph::{Graph, TensorId};
-    use crate::engine::lower::{Choice, Request, lower};
+    use crate::engine::lower::{KernelChoice, Request, lower};
     use crate::engine::ops::MaxPool2d;
     use crate::engine::precision::Precision;
     use crate::engine::shape::{Extent, TensorSpec};
@@ -102,8 +102,8 @@ mod tests {
         let output =
             names.iter().fold(input, |map, name| graph.apply1(name, pool, &[map]).expect("a map"));
         graph.mark_output(output);
-        let (caps, choice) = (gpu.caps(), &Choice::default());
-        let request = Request { keep: &[], batch: 1, precision: Precision::F32, caps, choice };
+        let (caps, kernels) = (gpu.caps(), &KernelChoice::default());
+        let request = Request { keep: &[], batch: 1, precision: Precision::F32, caps, kernels };
         let lowered = lower(&graph, &request).expect("kernels");
         let program = Program::new(gpu, &lowered, None, ProgramOptions::default());
         (Arc::new(pollster::block_on(program).expect("a program")), input, output)

@@ -23,7 +23,7 @@ pub struct GpuOptions {
     /// Let wgpu add bounds checks to the shaders. They are written to stay in bounds, and tests
     /// with sentinels behind every buffer hold them to it, so this is off by default: it costs up
     /// to 1.7 times the run time on a software adapter.
-    pub checked: bool,
+    pub bounds_checks: bool,
     /// For tests: calls to the device that fail.
     #[doc(hidden)]
     pub faults: Option<Faults>,
@@ -34,7 +34,7 @@ impl Default for GpuOptions {
         Self {
             adapter: AdapterChoice::Auto,
             timeout: Duration::from_secs(120),
-            checked: false,
+            bounds_checks: false,
             faults: None,
         }
     }
@@ -178,7 +178,7 @@ impl Gpu {
     /// what a fault in a shader would change, and for trying out a shader. Nothing vouches for that text, so
     /// this device compiles every shader with bounds checks, whatever its options say.
     pub fn with_replacement(&self, replacement: shader::Replacement) -> Arc<Self> {
-        let options = GpuOptions { checked: true, ..self.options.clone() };
+        let options = GpuOptions { bounds_checks: true, ..self.options.clone() };
         let mut replacements = self.pipelines.replacements.clone();
         replacements.push(replacement);
         self.like(options, self.caps.clone(), replacements)

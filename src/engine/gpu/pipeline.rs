@@ -63,7 +63,7 @@ impl Gpu {
             label: Some(shader.stem),
             source: wgpu::ShaderSource::Wgsl(reflection.text.as_str().into()),
         };
-        let module = if self.options.checked {
+        let module = if self.options.bounds_checks {
             self.device.create_shader_module(desc)
         } else {
             // SAFETY: the shaders are this crate's own; each index is below the sizes in its

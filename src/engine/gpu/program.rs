@@ -482,7 +482,7 @@ mod tests {
     use super::*;
     use crate::engine::gpu::{GpuOptions, Slot};
     use crate::engine::graph::Graph;
-    use crate::engine::lower::{Choice, Request, lower};
+    use crate::engine::lower::{KernelChoice, Request, lower};
     use crate::engine::ops::Conv2d;
     use crate::engine::shape::TensorSpec;
     use crate::engine::tensor::{Tensor, Value};
@@ -501,9 +501,9 @@ mod tests {
         // Whole numbers, so that no order of sums matters.
         let value = Value::from(Tensor::from_fn([8, 4, 4], small));
         let run = |id: &str, like: Option<&Program>| {
-            let choice = Choice::force(id).expect("a kernel");
-            let (caps, choice) = (gpu.caps(), &choice);
-            let request = Request { keep: &[], batch: 1, precision: Precision::F32, caps, choice };
+            let kernels = KernelChoice::force(id).expect("a kernel");
+            let (caps, kernels) = (gpu.caps(), &kernels);
+            let request = Request { keep: &[], batch: 1, precision: Precision::F32, caps, kernels };
             let lowered = lower(&graph, &request).expect("kernels");
             let program = Program::new(&gpu, &lowered, like, ProgramOptions::default());
             let program = Arc::new(pollster::block_on(program).expect("a program"));

@@ -15,7 +15,7 @@ use crate::engine::gpu::program::{
 };
 use crate::engine::graph::{Graph, StageTime, TensorId};
 use crate::engine::kernels::{Layout, Quads, Role, Storage};
-use crate::engine::lower::{Choice, Request, lower};
+use crate::engine::lower::{KernelChoice, Request, lower};
 use crate::engine::precision::Precision;
 use crate::engine::shape::DType;
 use crate::engine::tensor::{Tensor, Value};
@@ -107,9 +107,9 @@ impl Slot {
         keep: &[TensorId],
         options: ProgramOptions,
     ) -> Result<Self> {
-        let choice = Choice::default();
+        let kernels = KernelChoice::default();
         let precision = Precision::F32;
-        let request = Request { keep, batch: 1, precision, caps: gpu.caps(), choice: &choice };
+        let request = Request { keep, batch: 1, precision, caps: gpu.caps(), kernels: &kernels };
         let lowered = lower(graph, &request)?;
         let program = Program::new(gpu, &lowered, None, options).await?;
         Self::new(&Arc::new(program)).await

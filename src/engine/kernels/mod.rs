@@ -16,7 +16,7 @@ mod apply_gates;
 mod box_voting;
 mod channel_gate;
 mod channel_pool;
-mod contact;
+mod contact_map;
 mod conv2d;
 mod crop_resize;
 mod decode_detections;
@@ -261,7 +261,7 @@ static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
     ("box_voting", &[&box_voting::PLANAR]),
     ("channel_gate", &[&channel_gate::PLANAR]),
     ("channel_pool", &[&channel_pool::Quads, &channel_pool::PLANAR]),
-    ("contact", &[&contact::Planar]),
+    ("contact_map", &[&contact_map::Planar]),
     (
         "conv2d",
         &[

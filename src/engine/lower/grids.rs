@@ -62,15 +62,15 @@ mod tests {
     use super::*;
     use crate::engine::graph::Graph;
     use crate::engine::kernels::{self, Caps};
-    use crate::engine::lower::{Choice, Lowered, Request, lower};
+    use crate::engine::lower::{KernelChoice, Lowered, Request, lower};
     use crate::engine::ops::{OPS, Softmax};
     use crate::engine::precision::Precision;
     use crate::engine::shader::reflect;
     use crate::engine::shape::Extent;
 
-    fn lowered(graph: &Graph, batch: u32, caps: &Caps, choice: &Choice) -> Lowered {
+    fn lowered(graph: &Graph, batch: u32, caps: &Caps, kernels: &KernelChoice) -> Lowered {
         let precision = Precision::F32;
-        lower(graph, &Request { keep: &[], batch, precision, caps, choice }).expect("kernels")
+        lower(graph, &Request { keep: &[], batch, precision, caps, kernels }).expect("kernels")
     }
 
     /// Three softmaxes of two sizes in one stage and one in the next, for two pictures.
@@ -85,7 +85,7 @@ mod tests {
             let output = graph.apply1("output", softmax, &[input, count]).expect("rows");
             graph.mark_output(output);
         }
-        let lowered = lowered(&graph, 2, &Caps::default(), &Choice::default());
+        let lowered = lowered(&graph, 2, &Caps::default(), &KernelChoice::default());
         let stages = lowered.recording.stages().iter();
         assert_eq!(stages.map(|s| s.first).collect::<Vec<_>>(), [0, 8], "6 and 2 tables, 2 and 2");
         assert_eq!(lowered.owners, [0, 0, 0, 0, 1, 1, 2, 2, 3, 3, 3, 3]);
@@ -125,7 +125,7 @@ mod tests {
             let output = graph.apply1("output", softmax, &[input, count]).expect("rows");
             graph.mark_output(output);
         }
-        let lowered = lowered(&graph, 1, &Caps::default(), &Choice::default());
+        let lowered = lowered(&graph, 1, &Caps::default(), &KernelChoice::default());
         let grids = lowered.recording.commands().iter().filter_map(|command| match command {
             Command::Dispatch(Dispatch { grid: Grid::Indirect(grids, row), .. }) => {
                 Some((*grids, *row))
@@ -152,8 +152,8 @@ mod tests {
                 let outputs = graph.apply_shared("op", case.op.clone(), &inputs).expect("shapes");
                 outputs.iter().for_each(|id| graph.mark_output(*id));
                 for kernel in kernels::named(case.op.name()) {
-                    let choice = Choice::force(kernel.id()).expect("a kernel");
-                    for command in lowered(&graph, 1, &caps, &choice).recording.commands() {
+                    let kernels = KernelChoice::force(kernel.id()).expect("a kernel");
+                    for command in lowered(&graph, 1, &caps, &kernels).recording.commands() {
                         let Command::Dispatch(dispatch) = command else { continue };
                         if let Grid::Indirect(..) = dispatch.grid {
                             let Dispatch { shader, variant, entry, .. } = dispatch;

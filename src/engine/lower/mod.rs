@@ -3,13 +3,13 @@
 //! | pass | what it does |
 //! |---|---|
 //! | `live` | leaves out operations on which nothing depends that is asked for |
-//! | [`Choice`] | a kernel for each operation, by adapter, shape and measurement |
+//! | [`KernelChoice`] | a kernel for each operation, by adapter, shape and measurement |
 //! | `layouts` | conversions between kernels that write and read differently |
 //! | `grids` | workgroups of dispatches over as many rows as a count on the device says |
 //! | [`lifetimes`] | which tensors share what holds them |
 
-pub mod choice;
 mod grids;
+pub mod kernel_choice;
 pub mod lifetimes;
 
 use std::collections::{HashMap, HashSet};
@@ -20,7 +20,7 @@ use crate::engine::precision::Precision;
 use crate::engine::shape::TensorSpec;
 use crate::error::Result;
 
-pub use choice::Choice;
+pub use kernel_choice::KernelChoice;
 
 /// A graph made ready for a device: the commands, and where the graph's tensors went.
 #[derive(Debug)]
@@ -59,7 +59,7 @@ pub struct Request<'a> {
     /// The adapter.
     pub caps: &'a Caps,
     /// Which kernel runs what.
-    pub choice: &'a Choice,
+    pub kernels: &'a KernelChoice,
 }
 
 /// Lowers a graph.
@@ -85,7 +85,7 @@ pub fn lower(graph: &Graph, request: &Request) -> Result<Lowered> {
     let Request { batch, precision, caps, .. } = *request;
     let mut chosen = HashMap::new();
     visit(graph, &live, (batch, precision, caps), |work| {
-        let kernel = request.choice.kernel(work)?;
+        let kernel = request.kernels.kernel(work)?;
         chosen.insert(work.node, kernel);
         let inputs = graph.nodes()[work.node].inputs.iter().enumerate();
         let planar = inputs.filter(|(index, _)| kernel.reads(work, *index) == Layout::Planar);
@@ -268,10 +268,10 @@ mod tests {
         let second = graph.apply1("second", pool, &[first]).expect("a map");
         let counts = graph.apply1("counts", NotFinite::default(), &[second]).expect("counts");
         graph.mark_output(counts);
-        let (caps, choice, keep) = (Caps::default(), Choice::default(), [first, second]);
+        let (caps, kernels, keep) = (Caps::default(), KernelChoice::default(), [first, second]);
         let stored = |precision| {
             let request =
-                Request { keep: &keep, batch: 1, precision, caps: &caps, choice: &choice };
+                Request { keep: &keep, batch: 1, precision, caps: &caps, kernels: &kernels };
             let lowered = lower(&graph, &request).expect("kernels for both");
             keep.map(|id| lowered.stored(id))
         };

@@ -13,7 +13,7 @@ mod box_voting;
 mod boxes;
 mod channel_gate;
 mod channel_pool;
-mod contact;
+mod contact_map;
 pub(crate) mod conv2d;
 pub(crate) mod count;
 mod crop_resize;
@@ -42,7 +42,7 @@ pub use box_voting::BoxVoting;
 pub use case::{Case, Expected, Report};
 pub use channel_gate::ChannelGate;
 pub use channel_pool::ChannelPool;
-pub use contact::Contact;
+pub use contact_map::ContactMap;
 pub use conv2d::Conv2d;
 pub use crop_resize::CropResize;
 pub(crate) use crop_resize::{MEAN, STD};
@@ -72,7 +72,7 @@ pub static OPS: &[&Entry] = &[
     &box_voting::ENTRY,
     &channel_gate::ENTRY,
     &channel_pool::ENTRY,
-    &contact::ENTRY,
+    &contact_map::ENTRY,
     &conv2d::ENTRY,
     &crop_resize::ENTRY,
     &decode_detections::ENTRY,

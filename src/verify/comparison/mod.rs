@@ -33,7 +33,7 @@ pub use choice::ChoiceComparison;
 pub(crate) use tensor::larger;
 pub use tensor::{TensorComparison, relative_l2};
 
-use crate::engine::graph::TensorId;
+use crate::engine::graph::{TensorId, Values};
 use crate::engine::kernels;
 use crate::engine::precision::Precision;
 use crate::engine::tensor::{Tensor, Value};
@@ -113,9 +113,6 @@ pub(crate) struct Outcome {
     pub detections: ChoiceComparison,
     pub shift: Shift,
 }
-
-/// The values of a run, with the graph's shapes.
-pub(crate) type Values = HashMap<TensorId, Value>;
 
 /// How a device ran a network: what its bounds depend on.
 #[derive(Clone, Copy, Debug, Default)]

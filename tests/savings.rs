@@ -6,9 +6,10 @@ use smr_gpu::detector::MOST_REUSED;
 use smr_gpu::engine::gpu::AdapterChoice;
 use smr_gpu::evaluation::metrics::box_iou;
 use smr_gpu::{
-    Config, Detections, Device, Frame, Gel, GpuDetector, PixelFormat, Precision, Rect, Scale,
-    Scene, Sensor, picture,
+    CachingDetector, Config, Detections, Device, Frame, Gel, GpuDetector, PixelFormat, Precision,
+    Rect, Savings, Scale, Sensor, picture,
 };
+use std::sync::Arc;
 
 const SIDE: u32 = 1000;
 
@@ -16,8 +17,8 @@ fn file(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
 }
 
-fn config(device: Device, scene: Scene) -> Config {
-    Config::new(file("weights/smrnet-s.safetensors")).device(device).scene(scene).score(0.5)
+fn config(device: Device, savings: Savings) -> Config {
+    Config { device, savings, score: 0.5, ..Config::new(file("weights/smrnet-s.safetensors")) }
 }
 
 /// Gel under uneven light, with noise of ±2 levels from a seed, where `mark` says how much brighter each
@@ -51,22 +52,22 @@ fn dots(x: u32, y: u32) -> f32 {
 
 #[test]
 fn without_contact_the_network_does_not_run() {
-    let scene = Scene { contact: true, ..Scene::FULL };
+    let savings = Savings { contact: true, ..Savings::NONE };
     for device in [Device::Gpu(AdapterChoice::Auto), Device::Cpu, Device::Reference] {
-        let detector = GpuDetector::new(config(device.clone(), scene)).expect("a detector");
-        let bare = detector.detect_frame(&gel(1, 1.0, |_, _| 0.0)).expect("detections");
+        let detector = GpuDetector::new(config(device.clone(), savings)).expect("a detector");
+        let bare = detector.detect(gel(1, 1.0, |_, _| 0.0)).expect("detections");
         assert_eq!((bare.contact, bare.detections.len()), (Some(false), 0), "{device:?}");
         assert_eq!(bare.regions, Some(vec![]), "nobody looked anywhere");
         let stages: Vec<_> = bare.stages.iter().map(|time| &time.stage[..]).collect();
         assert_eq!(stages, ["frame", "contact"]);
         assert_eq!((bare.width, bare.scale.mm_per_pixel, bare.proposals), (SIDE, 0.04, 0));
     }
-    let detector = GpuDetector::new(config(Device::Cpu, scene)).expect("a detector");
-    let touched = detector.detect_frame(&gel(1, 1.0, disc(500, 300))).expect("detections");
+    let detector = GpuDetector::new(config(Device::Cpu, savings)).expect("a detector");
+    let touched = detector.detect(gel(1, 1.0, disc(500, 300))).expect("detections");
     assert_eq!(touched.contact, Some(true));
     assert!(touched.stages.len() > 2, "the network ran");
-    let detector = GpuDetector::new(config(Device::Cpu, Scene::FULL)).expect("a detector");
-    let bare = detector.detect_frame(&gel(1, 1.0, |_, _| 0.0)).expect("detections");
+    let detector = GpuDetector::new(config(Device::Cpu, Savings::NONE)).expect("a detector");
+    let bare = detector.detect(gel(1, 1.0, |_, _| 0.0)).expect("detections");
     assert_eq!(bare.contact, None, "nobody looked");
     assert!(bare.stages.len() > 1, "the network ran");
 }
@@ -74,15 +75,15 @@ fn without_contact_the_network_does_not_run() {
 /// Dots look like contact, but not against a frame that has them too, in other light.
 #[test]
 fn a_reference_frame_tells_marks_from_contact() {
-    let scene = Scene { contact: true, ..Scene::FULL };
+    let savings = Savings { contact: true, ..Savings::NONE };
     let contact = |config: Config, frame: &Frame| {
         let detector = GpuDetector::new(config).expect("a detector");
-        detector.detect_frame(frame).expect("detections").contact
+        detector.detect(frame).expect("detections").contact
     };
     let marked = gel(1, 1.0, dots);
-    let own = config(Device::Cpu, scene);
+    let own = config(Device::Cpu, savings);
     assert_eq!(contact(own.clone(), &marked), Some(true));
-    let against = own.reference(gel(2, 0.8, dots));
+    let against = Config { reference: Some(Arc::new(gel(2, 0.8, dots))), ..own };
     assert_eq!(contact(against.clone(), &marked), Some(false));
     let pressed = gel(1, 1.0, |x, y| dots(x, y) + disc(300, 300)(x, y));
     assert_eq!(contact(against.clone(), &pressed), Some(true));
@@ -105,10 +106,11 @@ fn a_sensor_file_brings_its_reference_frame() {
     let file = folder.path().join("own.json");
     std::fs::write(&file, &text).expect("written");
     let sensor = Sensor::open(&file).expect("a sensor");
-    let scene = Scene { contact: true, ..Scene::FULL };
-    let build = |sensor| GpuDetector::new(config(Device::Cpu, scene).sensor(sensor));
+    let savings = Savings { contact: true, ..Savings::NONE };
+    let build =
+        |sensor| GpuDetector::new(Config { sensor: Some(sensor), ..config(Device::Cpu, savings) });
     let detector = build(sensor).expect("a detector");
-    let contact = |frame: &Frame| detector.detect_frame(frame).expect("detections").contact;
+    let contact = |frame: &Frame| detector.detect(frame).expect("detections").contact;
     assert_eq!(contact(&gel(1, 1.0, dots)), Some(false));
     let pressed = gel(1, 1.0, |x, y| dots(x, y) + disc(300, 300)(x, y));
     assert_eq!(contact(&pressed), Some(true));
@@ -124,15 +126,15 @@ fn a_sensor_file_brings_its_reference_frame() {
 /// within two means of four frames.
 #[test]
 fn a_stream_sees_what_fades_in() {
-    let scene = Scene { contact: true, ..Scene::FULL };
-    let detector = GpuDetector::new(config(Device::Cpu, scene)).expect("a detector");
-    let mut stream = detector.stream();
+    let savings = Savings { contact: true, ..Savings::NONE };
+    let detector = GpuDetector::new(config(Device::Cpu, savings)).expect("a detector");
+    let mut stream = CachingDetector::new(Arc::new(detector));
     let frame = |seed: u32| {
         let share = (seed as f32 / 3.0).min(1.0) * 4.0 / 30.0;
         gel(seed, 1.0, move |x, y| share * disc(400, 400)(x, y))
     };
     let reused: Vec<bool> =
-        (0..9).map(|seed| stream.detect(&frame(seed)).expect("detections").reused).collect();
+        (0..9).map(|seed| stream.detect(frame(seed)).expect("detections").reused).collect();
     let computed: Vec<usize> = (1..reused.len()).filter(|i| !reused[*i]).collect();
     assert!(computed.len() == 1 && computed[0] <= 8, "{reused:?}");
 }
@@ -142,9 +144,9 @@ fn a_stream_sees_what_fades_in() {
 fn a_crop_changes_no_position() {
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/samples/stud.png");
     let picture = smr_gpu::picture::read(file).expect("a picture");
-    let detector = GpuDetector::new(config(Device::Cpu, Scene::FULL)).expect("a detector");
+    let detector = GpuDetector::new(config(Device::Cpu, Savings::NONE)).expect("a detector");
     let snap = |frame: &Frame| {
-        let found = detector.detect_frame(frame).expect("detections").detections;
+        let found = detector.detect(frame).expect("detections").detections;
         found.into_iter().find(|d| d.class == "B" && d.score > 0.9).expect("the stud")
     };
     let whole = snap(&Frame::from(&picture));
@@ -166,7 +168,7 @@ fn deviations_hold_at_the_weights_scale_alone() {
     let picture = smr_gpu::picture::read(file).expect("a picture");
     for (size, stated) in [(None, true), (Some(320), true), (Some(352), false), (Some(256), false)]
     {
-        let mut config = config(Device::Cpu, Scene::FULL).score(0.5);
+        let mut config = Config { score: 0.5, ..config(Device::Cpu, Savings::NONE) };
         config.input_size = size;
         let detector = GpuDetector::new(config).expect("a detector");
         let found = detector.detect(&picture).expect("detections").detections;
@@ -182,9 +184,13 @@ fn a_reference_frame_is_scaled_and_cropped_as_the_frames_are() {
     let untouched = gel(2, 0.8, dots);
     let frame = Some([SIDE; 2]);
     let sensor = Sensor { frame, gel: Some(gel_part), mm_per_pixel: Some(0.04), ..Sensor::plain() };
-    let config = config(Device::Cpu, Scene { contact: true, ..Scene::FULL }).sensor(sensor);
-    let detector = GpuDetector::new(config.reference(untouched)).expect("a detector");
-    let contact = |frame: Frame| detector.detect_frame(&frame).expect("detections").contact;
+    let config = Config {
+        sensor: Some(sensor),
+        ..config(Device::Cpu, Savings { contact: true, ..Savings::NONE })
+    };
+    let detector = GpuDetector::new(Config { reference: Some(Arc::new(untouched)), ..config })
+        .expect("a detector");
+    let contact = |frame: Frame| detector.detect(&frame).expect("detections").contact;
     let halved = |frame: &Frame| {
         let (half, side) = (SIDE / 2, SIDE as usize);
         let mean = |i: u32| {
@@ -213,16 +219,16 @@ fn what_is_left_out_is_a_share_of_the_gel() {
     let picture = picture::read(file("samples/stud.png")).expect("a sample").into_rgb8();
     let mut whole = image::RgbImage::new(1920, 1200);
     image::imageops::replace(&mut whole, &picture, 460, 100);
-    let scene = Scene { regions: true, ..Scene::FULL };
-    let detector = GpuDetector::new(config(Device::Cpu, scene)).expect("a detector");
+    let savings = Savings { regions: true, ..Savings::NONE };
+    let detector = GpuDetector::new(config(Device::Cpu, savings)).expect("a detector");
     let [alone, whole] = [picture, whole].map(|picture| {
         let (width, height) = picture.dimensions();
         let frame = Frame::new(picture.as_raw(), width, height, PixelFormat::Rgb8);
-        detector.detect_frame(&frame).expect("detections")
+        detector.detect(&frame).expect("detections")
     });
     assert_eq!(whole.gel, Rect { x: 460, y: 100, width: 1000, height: 1000 });
     assert!(whole.regions.as_ref().is_some_and(|parts| !parts.is_empty()));
-    assert_eq!(scene.left_out(&whole), scene.left_out(&alone));
+    assert_eq!(whole.left_out(&savings), alone.left_out(&savings));
 }
 
 #[test]
@@ -231,21 +237,21 @@ fn parts_and_the_best_proposals_find_the_snap_that_the_whole_finds() {
     let frame = Frame::new(picture.as_raw(), SIDE, SIDE, PixelFormat::Rgb8);
     let detect = |config: Config| {
         let detector = GpuDetector::new(config).expect("a detector");
-        detector.detect_frame(&frame).expect("detections")
+        detector.detect(&frame).expect("detections")
     };
-    let whole = detect(config(Device::Cpu, Scene::FULL));
+    let whole = detect(config(Device::Cpu, Savings::NONE));
     let [stud] = &whole.detections[..] else { panic!("one stud, not {:?}", whole.detections) };
     assert_eq!((whole.contact, &whole.regions), (None, &None));
     // The best 32 places, of many: all 32 on bare gel, fewer where they lie on one stud and overlap.
-    let scene = Scene { proposals: true, most_proposals: 32, ..Scene::FULL };
-    let bare = GpuDetector::new(config(Device::Cpu, scene)).expect("a detector");
-    let bare = bare.detect_frame(&gel(1, 1.0, |_, _| 0.0)).expect("detections");
+    let savings = Savings { proposals: true, most_proposals: 32, ..Savings::NONE };
+    let bare = GpuDetector::new(config(Device::Cpu, savings)).expect("a detector");
+    let bare = bare.detect(gel(1, 1.0, |_, _| 0.0)).expect("detections");
     assert_eq!((bare.proposals, bare.detections.len()), (32, 0));
-    let best = detect(config(Device::Cpu, scene));
+    let best = detect(config(Device::Cpu, savings));
     assert!(whole.proposals > 32, "{} proposals", whole.proposals);
     assert!((1..=32).contains(&best.proposals), "{} proposals", best.proposals);
     assert_eq!(best.detections.len(), 1);
-    let doubting = Scene { proposals: true, doubt: 1.0, ..Scene::FULL };
+    let doubting = Savings { proposals: true, doubt: 1.0, ..Savings::NONE };
     let doubted = detect(config(Device::Cpu, doubting));
     assert_eq!((&doubted.detections, doubted.looked_again), (&whole.detections, true));
     // As if there had been a frame before: the other half's gel where the stud is.
@@ -258,7 +264,10 @@ fn parts_and_the_best_proposals_find_the_snap_that_the_whole_finds() {
     }
     let reference = Frame::new(bare.into_raw(), SIDE, SIDE, PixelFormat::Rgb8);
     for device in [Device::Cpu, Device::Gpu(AdapterChoice::Auto)] {
-        let parts = detect(config(device, Scene::SAVING).reference(reference.clone()));
+        let parts = detect(Config {
+            reference: Some(Arc::new(reference.clone())),
+            ..config(device, Savings::ALL)
+        });
         assert_eq!(parts.contact, Some(true));
         let [part] = parts.regions.as_deref().expect("parts") else {
             panic!("{:?}", parts.regions)
@@ -273,19 +282,22 @@ fn parts_and_the_best_proposals_find_the_snap_that_the_whole_finds() {
     }
     // Where no score of a part is good enough all of the network looks at the whole, and its detections are
     // as ever.
-    let doubting = Scene { doubt: 1.0, ..Scene::SAVING };
+    let doubting = Savings { doubt: 1.0, ..Savings::ALL };
     for device in [Device::Cpu, Device::Gpu(AdapterChoice::Auto)] {
-        let whole = detect(config(device.clone(), Scene::FULL));
-        let doubted = detect(config(device, doubting).reference(reference.clone()));
+        let whole = detect(config(device.clone(), Savings::NONE));
+        let doubted = detect(Config {
+            reference: Some(Arc::new(reference.clone())),
+            ..config(device, doubting)
+        });
         assert_eq!((doubted.contact, &doubted.regions), (Some(true), &None));
         assert_eq!((&doubted.detections, doubted.proposals), (&whole.detections, whole.proposals));
         assert_eq!((whole.looked_again, doubted.looked_again), (false, true));
-        assert_eq!((doubted.without_deepest, doubting.left_out(&doubted)), (false, vec![]));
+        assert_eq!((doubted.without_deepest, doubted.left_out(&doubting)), (false, vec![]));
     }
     // A part in which something touches and no score is near enough is done with.
-    let scene = Scene { doubt: 0.0, ..Scene::SAVING };
-    let detector = GpuDetector::new(config(Device::Cpu, scene)).expect("a detector");
-    let touched = detector.detect_frame(&gel(1, 1.0, disc(500, 300))).expect("detections");
+    let savings = Savings { doubt: 0.0, ..Savings::ALL };
+    let detector = GpuDetector::new(config(Device::Cpu, savings)).expect("a detector");
+    let touched = detector.detect(gel(1, 1.0, disc(500, 300))).expect("detections");
     assert_eq!((touched.contact, touched.detections.len()), (Some(true), 0));
     assert_eq!(touched.regions.map(|parts| parts.len()), Some(1));
 }
@@ -294,13 +306,13 @@ fn parts_and_the_best_proposals_find_the_snap_that_the_whole_finds() {
 #[test]
 fn the_snap_is_found_without_the_deepest_scale() {
     let picture = picture::read(file("samples/stud.png")).expect("a sample");
-    let detect = |device: &Device, scene| {
-        let detector = GpuDetector::new(config(device.clone(), scene)).expect("a detector");
+    let detect = |device: &Device, savings| {
+        let detector = GpuDetector::new(config(device.clone(), savings)).expect("a detector");
         detector.detect(&picture).expect("detections")
     };
     for device in [Device::Cpu, Device::Gpu(AdapterChoice::Auto)] {
-        let whole = detect(&device, Scene::FULL);
-        let scales = Scene { scales: true, ..Scene::FULL };
+        let whole = detect(&device, Savings::NONE);
+        let scales = Savings { scales: true, ..Savings::NONE };
         let less = detect(&device, scales);
         let ran = |found: &Detections, stage: &str| found.stages.iter().any(|t| t.stage == stage);
         for stage in ["backbone.layer3", "backbone.layer4", "reweight"] {
@@ -309,14 +321,14 @@ fn the_snap_is_found_without_the_deepest_scale() {
         }
         assert_eq!((whole.without_deepest, less.without_deepest), (false, true));
         assert_eq!((whole.looked_again, less.looked_again), (false, false));
-        assert_eq!(scales.left_out(&less), ["the deepest scale: no box was in doubt without it"]);
+        assert_eq!(less.left_out(&scales), ["the deepest scale: no box was in doubt without it"]);
         let ([stud], [found]) = (&whole.detections[..], &less.detections[..]) else {
             panic!("one stud each: {:?}, {:?}", whole.detections, less.detections)
         };
         // Whatever is in doubt without it, all of the network decides.
-        let doubting = Scene { doubt: 1.0, ..scales };
+        let doubting = Savings { doubt: 1.0, ..scales };
         let doubted = detect(&device, doubting);
-        assert_eq!((doubted.without_deepest, doubting.left_out(&doubted)), (false, vec![]));
+        assert_eq!((doubted.without_deepest, doubted.left_out(&doubting)), (false, vec![]));
         assert_eq!(doubted.detections, whole.detections);
         // It moves, as its map is another; a tenth of the stud on each side is much.
         assert_ne!(found.bbox, stud.bbox);
@@ -338,15 +350,17 @@ fn frames_given_together_find_what_each_finds_alone() {
     let two = gel(3, 1.0, |x, y| disc(200, 200)(x, y) + disc(800, 800)(x, y));
     let bare = gel(1, 1.0, |_, _| 0.0);
     let frames = [mixed.clone(), bare, short, stud, two.clone(), oblong, mixed, two.clone(), two];
-    let some = Scene { contact: true, proposals: true, ..Scene::FULL };
-    for scene in [Scene::FULL, some, Scene::SAVING] {
-        let config = config(Device::Gpu(AdapterChoice::Auto), scene).input_size(160);
-        let detector = GpuDetector::new(config.score(0.01).batch(2)).expect("a detector");
+    let some = Savings { contact: true, proposals: true, ..Savings::NONE };
+    for savings in [Savings::NONE, some, Savings::ALL] {
+        let config =
+            Config { input_size: Some(160), ..config(Device::Gpu(AdapterChoice::Auto), savings) };
+        let detector =
+            GpuDetector::new(Config { score: 0.01, batch: 2, ..config }).expect("a detector");
         let together: Vec<_> = detector.detect_many(frames.iter().cloned()).collect();
         assert_eq!(together.len(), frames.len());
         let mut found = 0;
         for (at, (together, frame)) in together.into_iter().zip(&frames).enumerate() {
-            match (together, detector.detect_frame(frame)) {
+            match (together, detector.detect(frame)) {
                 (Ok(a), Ok(b)) => {
                     assert_eq!(a.detections, b.detections, "frame {at}");
                     let looked = |found: &Detections| {
@@ -366,13 +380,13 @@ fn frames_given_together_find_what_each_finds_alone() {
 
 #[test]
 fn impossible_scenes_are_refused() {
-    for scene in [
-        Scene { margin_mm: f32::NAN, ..Scene::SAVING },
-        Scene { most_of_input: 1.5, ..Scene::SAVING },
-        Scene { doubt: f32::INFINITY, ..Scene::SAVING },
-        Scene { most_proposals: 0, ..Scene::SAVING },
+    for savings in [
+        Savings { margin_mm: f32::NAN, ..Savings::ALL },
+        Savings { most_of_input: 1.5, ..Savings::ALL },
+        Savings { doubt: f32::INFINITY, ..Savings::ALL },
+        Savings { most_proposals: 0, ..Savings::ALL },
     ] {
-        let error = GpuDetector::new(config(Device::Cpu, scene)).expect_err("an error");
+        let error = GpuDetector::new(config(Device::Cpu, savings)).expect_err("an error");
         let error = error.to_string();
         assert!(error.contains("a number from 0 to") || error.contains("1 to 100"), "{error}");
     }
@@ -380,16 +394,16 @@ fn impossible_scenes_are_refused() {
 
 #[test]
 fn a_stream_keeps_what_did_not_change_and_no_longer_than_stated() {
-    let scene = Scene { contact: true, ..Scene::FULL };
+    let savings = Savings { contact: true, ..Savings::NONE };
     for device in [Device::Gpu(AdapterChoice::Auto), Device::Cpu] {
-        let config = config(device, scene).precision(Precision::F16);
-        let detector = GpuDetector::new(config).expect("a detector");
-        let mut stream = detector.stream();
+        let config = Config { precision: Precision::F16, ..config(device, savings) };
+        let detector = Arc::new(GpuDetector::new(config).expect("a detector"));
+        let mut stream = CachingDetector::new(detector.clone());
         // Noise changes, and the light, a little.
         let still = |seed: u32| gel(seed, 1.0 - 0.002 * (seed % 5) as f32, disc(400, 400));
         let mut reused = Vec::new();
         for seed in 0..MOST_REUSED + 3 {
-            let found = stream.detect(&still(seed)).expect("detections");
+            let found = stream.detect(still(seed)).expect("detections");
             assert_eq!(found.contact, Some(true));
             assert_eq!(found.precision, detector.precision(), "as the frame that it equals");
             reused.push(found.reused);
@@ -397,26 +411,29 @@ fn a_stream_keeps_what_did_not_change_and_no_longer_than_stated() {
         let computed: Vec<usize> = (0..reused.len()).filter(|i| !reused[*i]).collect();
         assert_eq!(computed, [0, MOST_REUSED as usize + 1]);
         // A slide by a millimetre.
-        assert!(!stream.detect(&gel(90, 1.0, disc(425, 400))).expect("detections").reused);
-        assert!(stream.detect(&gel(91, 1.0, disc(425, 400))).expect("detections").reused);
+        assert!(!stream.detect(gel(90, 1.0, disc(425, 400))).expect("detections").reused);
+        assert!(stream.detect(gel(91, 1.0, disc(425, 400))).expect("detections").reused);
         // And what is away.
-        let away = stream.detect(&gel(92, 1.0, |_, _| 0.0)).expect("detections");
+        let away = stream.detect(gel(92, 1.0, |_, _| 0.0)).expect("detections");
         assert_eq!((away.reused, away.contact), (false, Some(false)));
     }
-    // Frames in a row, as an iterator.
-    let detector = GpuDetector::new(config(Device::Cpu, scene)).expect("a detector");
-    let frames = [gel(1, 1.0, |_, _| 0.0), gel(2, 1.0, |_, _| 0.0)];
-    let reused: Vec<bool> =
-        detector.detect_stream(frames).map(|found| found.expect("detections").reused).collect();
-    assert_eq!(reused, [false, true]);
+    // Without blocking, in a struct that holds both.
+    struct Camera(CachingDetector);
+    let detector = GpuDetector::new(config(Device::Cpu, savings)).expect("a detector");
+    let mut camera = Camera(CachingDetector::new(Arc::new(detector)));
+    for (seed, reused) in [(1, false), (2, true)] {
+        let frame = gel(seed, 1.0, |_, _| 0.0);
+        let found = pollster::block_on(camera.0.detect_async(&frame)).expect("detections");
+        assert_eq!(found.reused, reused);
+    }
 }
 
 /// Bare gel is alike all over but for its light, which a stream does not look at: that the view is another
 /// decides.
 #[test]
 fn a_stream_looks_anew_at_another_view() {
-    let scene = Scene { contact: true, ..Scene::FULL };
-    let detector = GpuDetector::new(config(Device::Cpu, scene)).expect("a detector");
+    let savings = Savings { contact: true, ..Savings::NONE };
+    let detector = Arc::new(GpuDetector::new(config(Device::Cpu, savings)).expect("a detector"));
     let bare = gel(1, 1.0, |_, _| 0.0);
     let square = |at: u32, side: u32| Rect { x: at, y: at, width: side, height: side };
     let part = |at, side| Gel::Part(square(at, side));
@@ -426,7 +443,7 @@ fn a_stream_looks_anew_at_another_view() {
     let scale = first.clone().scale(Scale::stated(0.0401));
     let crop = first.clone().crop(square(390, 600));
     for other in [gel, scale, crop] {
-        let mut stream = detector.stream();
+        let mut stream = CachingDetector::new(detector.clone());
         let mut reused = |frame| stream.detect(frame).expect("detections").reused;
         let seen = [&first, &first, &other, &other, &first].map(&mut reused);
         assert_eq!(seen, [false, true, false, true, false], "{other:?}");
@@ -436,12 +453,13 @@ fn a_stream_looks_anew_at_another_view() {
 /// What two parts say is what each says of its disc alone.
 #[test]
 fn two_snaps_in_two_parts() {
-    let scene = Scene { contact: true, regions: true, doubt: 0.0, ..Scene::FULL };
-    let detector = GpuDetector::new(config(Device::Cpu, scene).score(0.01)).expect("a detector");
+    let savings = Savings { contact: true, regions: true, doubt: 0.0, ..Savings::NONE };
+    let detector = GpuDetector::new(Config { score: 0.01, ..config(Device::Cpu, savings) })
+        .expect("a detector");
     let (upper, lower) = (disc(200, 200), disc(800, 800));
     let frames =
         [gel(3, 1.0, &upper), gel(3, 1.0, &lower), gel(3, 1.0, |x, y| upper(x, y) + lower(x, y))];
-    let [a, b, both] = frames.map(|frame| detector.detect_frame(&frame).expect("detections"));
+    let [a, b, both] = frames.map(|frame| detector.detect(&frame).expect("detections"));
     let parts = |found: &Detections| found.regions.as_ref().map(Vec::len);
     assert_eq!([&a, &b, &both].map(parts), [Some(1), Some(1), Some(2)]);
     assert_eq!(
@@ -454,8 +472,8 @@ fn two_snaps_in_two_parts() {
 /// Frames of sizes of their own come in their order, whatever is in flight.
 #[test]
 fn pictures_come_in_their_order() {
-    let scene = Scene { contact: true, ..Scene::FULL };
-    let config = config(Device::Cpu, scene).in_flight(3);
+    let savings = Savings { contact: true, ..Savings::NONE };
+    let config = Config { in_flight: 3, ..config(Device::Cpu, savings) };
     let detector = GpuDetector::new(config).expect("a detector");
     let sides: Vec<u32> = (0..7).map(|i| 300 + 10 * i).collect();
     let frame = |side: &u32| {
@@ -472,15 +490,15 @@ fn pictures_come_in_their_order() {
 #[test]
 fn what_is_in_doubt_is_not_shown() {
     let picture = picture::read(file("samples/stud.png")).expect("a sample");
-    let detect = |scene, score| {
-        let config = config(Device::Cpu, scene).score(score);
+    let detect = |savings, score| {
+        let config = Config { score, ..config(Device::Cpu, savings) };
         let detector = GpuDetector::new(config).expect("a detector");
         detector.detect(&picture).expect("detections")
     };
-    let all = detect(Scene::FULL, 0.5).detections;
+    let all = detect(Savings::NONE, 0.5).detections;
     let least = all.iter().map(|found| found.score).fold(1.0, f32::min);
     assert!(!all.is_empty());
-    let doubting = Scene { proposals: true, doubt: 1.0, ..Scene::FULL };
+    let doubting = Savings { proposals: true, doubt: 1.0, ..Savings::NONE };
     let found = detect(doubting, least);
     assert!(found.looked_again);
     assert!(found.detections.iter().all(|found| found.score > least), "{:?}", found.detections);

@@ -47,7 +47,7 @@ impl ContactRule {
 /// Clouds of the coating and noise are all over a gel, contact is here and there: a tile is touched if it
 /// differs by more than a limit, the first of those between [`ContactRule::least`] and
 /// [`ContactRule::most`] that is [`ContactRule::FACTOR`] times what a quarter of the tiles stay below.
-pub fn contact(cells: &Tensor, reference: Option<&Tensor>, rule: ContactRule) -> Vec<u32> {
+pub fn contact_map(cells: &Tensor, reference: Option<&Tensor>, rule: ContactRule) -> Vec<u32> {
     let [height, width] = [1, 2].map(|i| cells.dims()[i]);
     let differences = differences(cells, reference, rule.clipped);
     let calm = |limit: f64| {

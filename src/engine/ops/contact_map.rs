@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 
 /// This operation in [`crate::engine::ops::OPS`].
 pub static ENTRY: Entry = Entry {
-    name: "contact",
+    name: "contact_map",
     takes: "cells [3, H, W], levels from 0 to 255; optional: reference [3, H, W]",
     gives: "output u32 [N], a bit for each of ⌈H/2⌉ × ⌈W/2⌉ tiles",
     params: &[
@@ -30,7 +30,7 @@ pub static ENTRY: Entry = Entry {
 /// [⌈T/32⌉]`, a bit for each of the T tiles of 2 × 2 cells, row by row from the lowest bit on, set where
 /// one of its cells is touched: see [`reference::contact`].
 #[derive(Clone, Copy, Debug)]
-pub struct Contact {
+pub struct ContactMap {
     /// Share of the brightness by which an untouched tile may differ at least.
     pub least: f32,
     /// And at most, however uneven the gel is.
@@ -41,14 +41,14 @@ pub struct Contact {
     pub reference: bool,
 }
 
-impl Contact {
+impl ContactMap {
     /// Rows and columns of tiles for so many of cells.
     pub fn tiles(cells: [usize; 2]) -> [usize; 2] {
         cells.map(|side| side.div_ceil(ContactRule::TILE))
     }
 }
 
-impl Op for Contact {
+impl Op for ContactMap {
     fn entry(&self) -> &'static Entry {
         &ENTRY
     }
@@ -86,7 +86,7 @@ impl Op for Contact {
     fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {
         let rule = ContactRule { least: self.least, most: self.most, clipped: self.clipped };
         let reference = inputs.get(1).map(|r| r.f32()).transpose()?;
-        let words = reference::contact(inputs[0].f32()?, reference, rule);
+        let words = reference::contact_map(inputs[0].f32()?, reference, rule);
         Ok(vec![Tensor::new(specs[0].shape.clone(), words)?.into()])
     }
 
@@ -98,7 +98,7 @@ impl Op for Contact {
 }
 
 fn build(params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {
-    Ok(Box::new(Contact {
+    Ok(Box::new(ContactMap {
         least: params.take("least", 0.01)?,
         most: params.take("most", 0.04)?,
         clipped: params.take("clipped", 250.0)?,
@@ -108,14 +108,15 @@ fn build(params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {
 
 fn cases() -> Vec<Case> {
     // Limits in steps of 3/512, so that none rounds.
-    const OWN: Contact = Contact { least: 0.0625, most: 0.25, clipped: 250.0, reference: false };
-    const AGAINST: Contact = Contact { reference: true, ..OWN };
-    const FIXED: Contact = Contact { most: 0.0625, ..OWN };
+    const OWN: ContactMap =
+        ContactMap { least: 0.0625, most: 0.25, clipped: 250.0, reference: false };
+    const AGAINST: ContactMap = ContactMap { reference: true, ..OWN };
+    const FIXED: ContactMap = ContactMap { most: 0.0625, ..OWN };
     let map = |dims: [usize; 3], level: &dyn Fn(usize, usize, usize) -> f32| -> Value {
         let [_, height, width] = dims;
         Tensor::from_fn(dims, |i| level(i / (height * width), i / width % height, i % width)).into()
     };
-    let by_hand = |name: &str, op: Contact, inputs: Vec<Value>, words: &[u32]| {
+    let by_hand = |name: &str, op: ContactMap, inputs: Vec<Value>, words: &[u32]| {
         Case::new(name, op, inputs).by_hand(vec![integers([words.len()], words)]).exact()
     };
     // One row, tiles of two cells. Cell 9 is brighter in green.
@@ -149,7 +150,7 @@ fn cases() -> Vec<Case> {
         // right; and nothing between.
         by_hand(
             "an even slope by hand",
-            Contact { least: 0.03125, ..OWN },
+            ContactMap { least: 0.03125, ..OWN },
             vec![map(line, &|_, _, x| 16.0 + 12.0 * x as f32)],
             &[1 | 1 << 9],
         ),
@@ -225,7 +226,7 @@ fn cases() -> Vec<Case> {
         // so that 8 more are a half, and not all.
         by_hand(
             "a dark reference by hand",
-            Contact { least: 0.75, most: 0.75, ..AGAINST },
+            ContactMap { least: 0.75, most: 0.75, ..AGAINST },
             vec![
                 map(line, &|c, _, x| if c == 0 && x == 9 { 2.0 } else { 1.0 }),
                 map(line, &|_, _, _| 1.0),
@@ -234,7 +235,7 @@ fn cases() -> Vec<Case> {
         ),
         by_hand(
             "a spot in the dark by hand",
-            Contact { least: 0.4375, most: 0.4375, ..OWN },
+            ContactMap { least: 0.4375, most: 0.4375, ..OWN },
             vec![map(line, &|c, _, x| if c == 0 && x == 9 { 16.0 } else { 8.0 })],
             &[1 << 4],
         ),
@@ -262,7 +263,7 @@ fn cases() -> Vec<Case> {
         let reference =
             map(dims, &|c, y, x| if (c + y + x).is_multiple_of(4) { 128.0 } else { 64.0 });
         let name = format!("{name}, against a reference");
-        let op = Contact { least: 1.15625, most: 1.15625, ..AGAINST };
+        let op = ContactMap { least: 1.15625, most: 1.15625, ..AGAINST };
         cases.push(Case::new(name, op, vec![whole, reference]).exact());
     }
     cases

@@ -1,9 +1,11 @@
-//! Frames of one camera, in order: what did not change is not looked at again.
+//! Frames of one camera, in order: what did not change is not computed again.
 
-use crate::detector::contact;
-use crate::detector::engines::Engines;
+use std::sync::Arc;
+
+use crate::detector::contact_map;
+use crate::detector::inference::Job;
 use crate::detector::input::Input;
-use crate::detector::look::Sight;
+use crate::detector::session::Session;
 use crate::detector::{Detections, GpuDetector};
 use crate::engine::gpu::Deadline;
 use crate::engine::tensor::{Tensor, Value};
@@ -17,10 +19,25 @@ pub const MOST_REUSED: u32 = 20;
 /// there, since noise is less by the root.
 const MEAN: u32 = 4;
 
-/// Looks at frames in their order: see [`GpuDetector::stream`].
+/// A detector for the frames of one camera in their order, that keeps the detections of the last computed frame
+/// for those that equal it within a sensor's noise. What looks at every frame is [`GpuDetector::detect_many`].
+///
+/// ```no_run
+/// use std::sync::Arc;
+/// use smr_gpu::{CachingDetector, Config, Frame, GpuDetector, PixelFormat};
+///
+/// # fn next_frame() -> Option<Vec<u8>> { None }
+/// let detector = Arc::new(GpuDetector::new(Config::new("weights/smrnet-s.safetensors"))?);
+/// let mut camera = CachingDetector::new(detector);
+/// while let Some(bytes) = next_frame() {
+///     let found = camera.detect(&Frame::new(bytes, 1920, 1200, PixelFormat::BayerRggb8))?;
+///     println!("{} snaps, {}", found.len(), if found.reused { "as before" } else { "computed" });
+/// }
+/// # Ok::<(), smr_gpu::Error>(())
+/// ```
 #[derive(Debug)]
-pub struct Stream<'a> {
-    detector: &'a GpuDetector,
+pub struct CachingDetector {
+    detector: Arc<GpuDetector>,
     last: Option<Last>,
 }
 
@@ -47,13 +64,19 @@ impl Last {
             return false;
         }
         let mean = Tensor::new(cells.shape().clone(), std::mem::take(&mut self.sum));
-        mean.is_ok_and(|mean| contact::has_changed(&mean, own, MEAN))
+        mean.is_ok_and(|mean| contact_map::has_changed(&mean, own, MEAN))
     }
 }
 
-impl<'a> Stream<'a> {
-    pub(super) fn new(detector: &'a GpuDetector) -> Self {
+impl CachingDetector {
+    /// For a camera's frames, by a detector that others may use beside it.
+    pub fn new(detector: Arc<GpuDetector>) -> Self {
         Self { detector, last: None }
+    }
+
+    /// The detector itself.
+    pub fn detector(&self) -> &Arc<GpuDetector> {
+        &self.detector
     }
 
     /// Finds the snaps in the next frame. If it equals the last one that was computed, within a sensor's
@@ -61,32 +84,41 @@ impl<'a> Stream<'a> {
     /// times in a row, and not where four frames in a row differ together by half as much.
     ///
     /// # Errors
-    /// As [`GpuDetector::detect_frame`].
-    pub fn detect(&mut self, frame: &Frame) -> Result<Detections> {
-        let deadline = Deadline::after(self.detector.config.timeout);
-        let input = self.detector.input(frame)?;
-        let engines = self.detector.engines();
-        match self.detect_with(&engines, &input, deadline) {
+    /// As [`GpuDetector::detect`].
+    pub fn detect<'f>(&mut self, frame: impl Into<Frame<'f>>) -> Result<Detections> {
+        pollster::block_on(self.detect_async(frame))
+    }
+
+    /// [`CachingDetector::detect`] for callers with an executor of their own; it waits as
+    /// [`GpuDetector::detect_async`] does.
+    ///
+    /// # Errors
+    /// As [`GpuDetector::detect`].
+    pub async fn detect_async<'f>(&mut self, frame: impl Into<Frame<'f>>) -> Result<Detections> {
+        let (detector, frame) = (self.detector.clone(), frame.into());
+        let deadline = Deadline::after(detector.config.timeout);
+        let input = detector.input(&frame)?;
+        let session = detector.session();
+        match self.detect_with(&session, &input, deadline).await {
             Err(e) => {
-                let engines = self.detector.recover(&engines, e)?;
-                self.detect_with(&engines, &input, deadline)
+                let session = detector.recover(&session, e)?;
+                self.detect_with(&session, &input, deadline).await
             }
             found => found,
         }
     }
 
-    fn detect_with(
+    async fn detect_with(
         &mut self,
-        engines: &Engines,
+        session: &Session,
         input: &Input<'_>,
         deadline: Deadline,
     ) -> Result<Detections> {
         let last = self.last.take().filter(|last| last.view == input.view);
         let before = last.as_ref().map(|last| &last.cells);
-        let look = self.detector.touched(engines, input, before, true, deadline);
-        let look = pollster::block_on(look)?;
+        let contact = self.detector.contact(session, input, before, true, deadline).await?;
         let same = |last: &mut Last| {
-            !look.changed && last.reused < MOST_REUSED && !last.fades(look.cells.as_ref())
+            !contact.changed && last.reused < MOST_REUSED && !last.fades(contact.cells.as_ref())
         };
         if let Some(last) = last.and_then(|mut last| same(&mut last).then_some(last)) {
             let found = &last.found;
@@ -98,15 +130,15 @@ impl<'a> Stream<'a> {
                 proposals: found.proposals,
                 precision: found.precision,
                 reused: true,
-                stages: [input.taken()].into_iter().chain(look.stages).collect(),
+                stages: [input.taken()].into_iter().chain(contact.stages).collect(),
                 ..input.report(found.detections.clone())
             };
             self.last = Some(last);
             return Ok(kept);
         }
-        let cells = look.cells.clone();
-        let sight = Sight::new(input, Some(look), &self.detector.config.scene);
-        let found = pollster::block_on(self.detector.look_at(engines, sight, deadline))?;
+        let cells = contact.cells.clone();
+        let job = Job::new(input, Some(contact), &self.detector.config.savings);
+        let found = self.detector.run_job(session, job, deadline).await?;
         let view = input.view;
         let last = |cells| Last { view, cells, found: found.clone(), reused: 0, sum: Vec::new() };
         self.last = cells.map(last);

@@ -2,29 +2,28 @@
 
 use crate::detector::Config;
 use crate::detector::runner::{Given, On, Runner};
-use crate::engine::gpu::{Deadline, Gpu, Inputs};
-use crate::engine::graph::{StageTime, TensorId};
-use crate::engine::lower::Choice;
+use crate::engine::gpu::{Deadline, Gpu, Inputs, Program};
+use crate::engine::graph::{StageTime, TensorId, Values};
+use crate::engine::lower::KernelChoice;
+use crate::engine::tuned::{Place, Tuned};
 use crate::error::Result;
 use crate::smr::Network;
-use crate::verify::comparison::{How, Values};
-use crate::verify::tune::{Place, Tuned};
 
 /// A network and what runs it.
-pub(super) struct Engine {
+pub(crate) struct Compiled {
     pub network: Network,
     runner: Runner,
     keep: Vec<TensorId>,
 }
 
-impl Engine {
+impl Compiled {
     /// Makes a network ready on `gpu`, or on the CPU. The weights that `like` has on the device, an engine of
     /// the same weights, are shared.
     pub async fn new(
         config: &Config,
         mut network: Network,
         on: Option<On<'_>>,
-        choice: &Choice,
+        kernels: &KernelChoice,
         like: Option<&Self>,
     ) -> Result<Self> {
         let keep = match config.keep_stages {
@@ -32,21 +31,16 @@ impl Engine {
             false => Vec::new(),
         };
         let like = like.map(|engine| &engine.runner);
-        let runner = Runner::new(config, &network.graph, &keep, on, choice, like).await?;
+        let runner = Runner::new(config, &network.graph, &keep, on, kernels, like).await?;
         if !matches!(runner, Runner::Reference) && !config.keep_stages {
             network.graph.forget_constants();
         }
         Ok(Self { network, runner, keep })
     }
 
-    /// How the network is run, as far as errors depend on it.
-    pub fn how(&self) -> How<'_> {
-        self.runner.how()
-    }
-
-    /// Whether a GPU runs the network.
-    pub fn is_gpu(&self) -> bool {
-        matches!(self.runner, Runner::Gpu(_))
+    /// What runs it on a GPU; `None` for the CPU.
+    pub fn program(&self) -> Option<&Program> {
+        self.runner.program()
     }
 
     /// Runs the network. The values are the outputs, or with `keep_stages` those of every stage, as
@@ -60,7 +54,7 @@ impl Engine {
         self.runner.run(&self.network.graph, &self.keep, given, deadline).await
     }
 
-    /// [`Engine::run`] of as many pictures as it was made for; the times add up to those of all.
+    /// [`Compiled::run`] of as many pictures as it was made for; the times add up to those of all.
     pub async fn run_all(
         &self,
         pictures: &[Given<'_>],
@@ -71,15 +65,15 @@ impl Engine {
 }
 
 /// The kernels that the configuration names, or that were measured on `gpu`.
-pub(super) fn choose(config: &Config, gpu: &Gpu, remarks: &mut Vec<String>) -> Choice {
-    let file = config.choices.as_ref().map(|folder| folder.join(Place::of(gpu).file_name()));
-    match file.filter(|file| config.choice == Choice::default() && file.exists()) {
-        None => config.choice.clone(),
+pub(crate) fn choose(config: &Config, gpu: &Gpu, remarks: &mut Vec<String>) -> KernelChoice {
+    let file = config.tuned_kernels.as_ref().map(|folder| folder.join(Place::of(gpu).file_name()));
+    match file.filter(|file| config.kernels == KernelChoice::default() && file.exists()) {
+        None => config.kernels.clone(),
         Some(file) => match Tuned::read(&file, gpu) {
-            Ok(tuned) => tuned.choice,
+            Ok(tuned) => tuned.kernels,
             Err(e) => {
                 remarks.push(format!("{e}; going on without"));
-                Choice::default()
+                KernelChoice::default()
             }
         },
     }

@@ -8,10 +8,10 @@ use crate::detector::pool::Pool;
 use crate::detector::runner::{Given, On, Runner};
 use crate::engine::gpu::Deadline;
 use crate::engine::graph::{Graph, StageTime, TensorId};
-use crate::engine::lower::Choice;
-use crate::engine::ops::{Contact, CropResize};
+use crate::engine::lower::KernelChoice;
+use crate::engine::ops::{ContactMap, CropResize};
 use crate::engine::precision::Precision;
-use crate::engine::reference::{ContactRule, Crop, contact, crop_resize};
+use crate::engine::reference::{ContactRule, Crop, contact_map, crop_resize};
 use crate::engine::shape::MAX_PIXELS;
 use crate::engine::shape::{Extent, TensorSpec};
 use crate::engine::tensor::{Tensor, Value};
@@ -23,7 +23,7 @@ use crate::sensor::view::View;
 /// Side of a cell in millimetres.
 const CELL_MM: f64 = 0.5;
 /// Least and most share of the brightness by which untouched gel may differ from its surroundings: see
-/// [`Contact`]. Chosen on 3751 simulated pictures of snaps: in each a limit a twentieth higher would do too.
+/// [`ContactMap`]. Chosen on 3751 simulated pictures of snaps: in each a limit a twentieth higher would do too.
 const OWN: [f32; 2] = [0.01, 0.04];
 /// The same against a reference frame: wear and clouds are in that too.
 const AGAINST: [f32; 2] = [0.0234; 2];
@@ -43,7 +43,7 @@ const SKIRT: usize = 2;
 
 /// Where something touches: whether it does for each tile, a square millimetre of gel, row by row.
 #[derive(Debug)]
-pub(super) struct Map {
+pub(crate) struct TileMap {
     touched: Vec<bool>,
     /// Rows and columns of tiles.
     pub tiles: [usize; 2],
@@ -51,7 +51,7 @@ pub(super) struct Map {
     pub cells: [usize; 2],
 }
 
-impl Map {
+impl TileMap {
     /// The map of words with a bit for each tile, without scratches and the like.
     fn new(words: &[u32], tiles: [usize; 2], cells: [usize; 2]) -> Self {
         let [rows, columns] = tiles;
@@ -92,9 +92,9 @@ impl Map {
     }
 }
 
-/// What a look at a frame gives.
-pub(super) struct Look {
-    pub map: Map,
+/// What touches the gel in a frame.
+pub(crate) struct Contact {
+    pub tiles: TileMap,
     /// Whether something is not as it was in the frame before; `true` without one.
     pub changed: bool,
     /// The frame's cells, if streams ask for them.
@@ -104,7 +104,7 @@ pub(super) struct Look {
 
 /// What is compared, which decides what must be computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Kind {
+pub(crate) struct Key {
     /// Rows and columns of cells.
     pub cells: [usize; 2],
     /// Whether there is a frame without contact.
@@ -113,9 +113,9 @@ pub(super) struct Kind {
     pub stream: bool,
 }
 
-/// The small graph that looks for contact, and what runs it.
-pub(super) struct Detector {
-    kind: Kind,
+/// The small graph that maps contact, and what runs it.
+pub(crate) struct ContactGraph {
+    key: Key,
     graph: Graph,
     runner: Runner,
     picture: TensorId,
@@ -140,7 +140,7 @@ pub(super) fn cells(view: &View) -> [usize; 2] {
 pub(super) fn has_changed(mean: &Tensor, before: &Tensor, frames: u32) -> bool {
     let [least, most] = CHANGED.map(|share| share / (frames as f32).sqrt());
     let rule = ContactRule { least, most, clipped: f32::MAX };
-    contact(mean, Some(before), rule).iter().any(|word| *word != 0)
+    contact_map(mean, Some(before), rule).iter().any(|word| *word != 0)
 }
 
 /// The resize of a frame to cells, in levels.
@@ -159,27 +159,27 @@ pub(super) fn reference_cells(frame: &Frame, part: Rect, size: [usize; 2]) -> Re
     Ok(crop_resize(&bytes, crop, size, op.mean, op.std).into())
 }
 
-impl Detector {
+impl ContactGraph {
     pub async fn new(
         config: &Config,
-        kind: Kind,
+        key: Key,
         pool: Option<&Arc<Pool>>,
-        choice: &Choice,
+        kernels: &KernelChoice,
     ) -> Result<Self> {
-        let [height, width] = kind.cells;
+        let [height, width] = key.cells;
         let spec = TensorSpec::f32([3, height, width]);
         let mut graph = Graph::default();
         let picture = graph.input("picture", TensorSpec::u32([MAX_PIXELS]), Extent::UpTo);
         let crop = graph.input("crop", TensorSpec::u32([Crop::WORDS]), Extent::Exact);
         graph.begin_stage("contact");
-        let cells = graph.apply1("contact.cells", resize(kind.cells), &[picture, crop])?;
+        let cells = graph.apply1("contact.cells", resize(key.cells), &[picture, crop])?;
         let mut against = |name: &str, wanted: bool| {
             wanted.then(|| graph.input(name, spec.clone(), Extent::Exact))
         };
-        let reference = against("contact.reference", kind.reference);
-        let before = against("contact.before", kind.stream);
-        let [least, most] = if kind.reference { AGAINST } else { OWN };
-        let op = Contact { least, most, clipped: CLIPPED, reference: kind.reference };
+        let reference = against("contact.reference", key.reference);
+        let before = against("contact.before", key.stream);
+        let [least, most] = if key.reference { AGAINST } else { OWN };
+        let op = ContactMap { least, most, clipped: CLIPPED, reference: key.reference };
         let inputs: Vec<_> = [cells].into_iter().chain(reference).collect();
         let words = graph.apply1("contact", op, &inputs)?;
         graph.mark_output(words);
@@ -188,7 +188,7 @@ impl Detector {
             Some(before) => {
                 // What is overexposed stays so: that alone is no change.
                 let [least, most] = CHANGED;
-                let op = Contact { least, most, clipped: f32::MAX, reference: true };
+                let op = ContactMap { least, most, clipped: f32::MAX, reference: true };
                 let changed = graph.apply1("contact.changed", op, &[cells, before])?;
                 graph.mark_output(changed);
                 graph.mark_output(cells);
@@ -197,22 +197,22 @@ impl Detector {
         };
         // A limit lies within f16's rounding of a level.
         let on = pool.map(|pool| On { pool, precision: Precision::F32, batch: 1 });
-        let runner = Runner::new(config, &graph, &[], on, choice, None).await?;
-        Ok(Self { kind, graph, runner, picture, crop, reference, before, cells, words, changed })
+        let runner = Runner::new(config, &graph, &[], on, kernels, None).await?;
+        Ok(Self { key, graph, runner, picture, crop, reference, before, cells, words, changed })
     }
 
     /// Looks for contact in a picture: against `reference`, and for what changed since `before`.
     ///
     /// # Errors
     /// What running returns.
-    pub async fn look(
+    pub async fn run(
         &self,
         input: &Input<'_>,
         reference: Option<&Value>,
         before: Option<&Value>,
         deadline: Deadline,
-    ) -> Result<Look> {
-        let [height, width] = self.kind.cells;
+    ) -> Result<Contact> {
+        let [height, width] = self.key.cells;
         let crop = input.resized([width, height])?;
         let mut inputs = vec![(self.picture, &input.pixels), (self.crop, &crop)];
         inputs.extend(self.reference.zip(reference));
@@ -236,14 +236,14 @@ impl Detector {
             _ => Vec::new(),
         };
         let changed = self.changed.is_none_or(|id| nothing || words(id).iter().any(|w| *w != 0));
-        let (tiles, cells) = (Contact::tiles(self.kind.cells), self.kind.cells);
-        let map = Map::new(&words(self.words), tiles, cells);
-        Ok(Look { map, changed, cells: values.remove(&self.cells), stages })
+        let cells = self.key.cells;
+        let tiles = TileMap::new(&words(self.words), ContactMap::tiles(cells), cells);
+        Ok(Contact { tiles, changed, cells: values.remove(&self.cells), stages })
     }
 }
 
 #[cfg(test)]
-impl Map {
+impl TileMap {
     /// A map in which these tiles are touched, by column and row.
     pub fn of(tiles: [usize; 2], touched: &[[usize; 2]]) -> Self {
         let all = (0..tiles[0] * tiles[1]).map(|at| [at % tiles[1], at / tiles[1]]);
@@ -263,7 +263,7 @@ mod tests {
         for at in bits.bytes().enumerate().filter(|(_, byte)| *byte == b'#').map(|(at, _)| at) {
             words[at / 32] |= 1 << (at % 32);
         }
-        Map::new(&words, [6, 8], [12, 16]).touched().collect()
+        TileMap::new(&words, [6, 8], [12, 16]).touched().collect()
     }
 
     /// A line two tiles wide in places has 5 of 9; one tile more makes three of its tiles cores, and the rest
@@ -351,11 +351,11 @@ mod tests {
     fn the_last_of_an_odd_number_of_cells_counts() {
         let rule = ContactRule { least: 0.05, most: 0.05, clipped: f32::MAX };
         for (cell, tile) in [([20, 20], 120), ([5, 5], 2 * 11 + 2), ([20, 7], 3 * 11 + 10)] {
-            let words = contact(&even_but([21; 2], cell, 200.0), None, rule);
+            let words = contact_map(&even_but([21; 2], cell, 200.0), None, rule);
             assert_eq!(words.len(), 4);
             assert!(words[tile / 32] >> (tile % 32) & 1 == 1, "{cell:?}: {words:?}");
         }
-        assert_eq!(Contact::tiles([21, 4]), [11, 2]);
+        assert_eq!(ContactMap::tiles([21, 4]), [11, 2]);
     }
 
     /// A square's corners see four of nine, its sides six: what lies two tiles before a side belongs to it, what

@@ -10,14 +10,14 @@ use crate::error::{Error, Result};
 /// Which kernel runs an operation on given shapes. What it does not name, it leaves to the order in
 /// which the kernels prefer themselves.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Choice {
-    /// Kernel by operation and shapes, as [`Choice::key`] writes them.
+pub struct KernelChoice {
+    /// Kernel by operation and shapes, as [`KernelChoice::key`] writes them.
     pub by_shape: BTreeMap<String, String>,
     /// Kernels that run whatever they fit.
     pub forced: Vec<String>,
 }
 
-impl Choice {
+impl KernelChoice {
     /// The choice that forces one kernel wherever it fits.
     ///
     /// # Errors

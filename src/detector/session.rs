@@ -1,16 +1,16 @@
-//! The network on one device, for each size of input that pictures ask for.
+//! The weights, a device, and the network compiled on it for each size of input that pictures ask for.
 
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use crate::detector::contact;
-use crate::detector::engine::{self, Engine};
+use crate::detector::compiled::{self, Compiled};
+use crate::detector::contact_map;
 use crate::detector::pool::Pool;
 use crate::detector::runner::On;
-use crate::detector::{Config, Device, Scene, WeightSource};
+use crate::detector::{Config, Device, Savings, WeightSource};
 use crate::engine::gpu::{AdapterChoice, Gpu, GpuOptions};
 use crate::engine::kernels;
 use crate::engine::lock::lock;
-use crate::engine::lower::Choice;
+use crate::engine::lower::KernelChoice;
 use crate::engine::precision::Precision;
 use crate::error::{Error, Result};
 use crate::smr::{ModelConfig, Network, Wanted, Weights};
@@ -19,9 +19,9 @@ use crate::smr::{ModelConfig, Network, Wanted, Weights};
 /// longest goes.
 const MOST: usize = 12;
 
-/// What an engine is for.
+/// What the network is compiled for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Kind {
+pub(crate) struct Key {
     /// Height and width of its input.
     pub size: [usize; 2],
     /// How it stores maps and weights.
@@ -30,12 +30,12 @@ pub(super) struct Kind {
     pub batch: usize,
     /// Proposals that reach the last part at most.
     pub proposals: usize,
-    /// Whether it looks at the deepest scale.
+    /// Whether it has the deepest scale.
     pub deepest: bool,
 }
 
-/// A device, and an engine on it for each size.
-pub(super) struct Engines {
+/// Weights, a device, and the network compiled on it for each size.
+pub(crate) struct Session {
     config: Config,
     weights: Weights,
     wanted: Wanted,
@@ -44,17 +44,17 @@ pub(super) struct Engines {
     /// What runs the network, for people.
     pub adapter: String,
     /// Which kernels run it.
-    pub choice: Choice,
+    pub kernels: KernelChoice,
     /// What went otherwise than the configuration says, for people.
     pub remarks: Vec<String>,
-    ready: Recent<Kind, Engine>,
-    /// What looks for contact.
-    looks: Recent<contact::Kind, contact::Detector>,
+    ready: Recent<Key, Compiled>,
+    /// The graphs of contact maps.
+    contacts: Recent<contact_map::Key, contact_map::ContactGraph>,
     /// Held while one is built.
     building: Mutex<()>,
 }
 
-impl Engines {
+impl Session {
     /// Loads the weights and opens what the configuration names, or takes `gpu`.
     pub async fn open(config: &Config, gpu: Option<Arc<Gpu>>) -> Result<Self> {
         let weights = match &config.weights {
@@ -64,7 +64,7 @@ impl Engines {
             }
         };
         let wanted = config.wanted(weights.config())?;
-        let (mut choice, mut remarks) = (Choice::default(), Vec::new());
+        let (mut kernels, mut remarks) = (KernelChoice::default(), Vec::new());
         let gpu = match gpu {
             Some(gpu) => Some(gpu),
             None => {
@@ -76,7 +76,7 @@ impl Engines {
         };
         let adapter = match (&gpu, &config.device) {
             (Some(gpu), _) => {
-                choice = engine::choose(config, gpu, &mut remarks);
+                kernels = compiled::choose(config, gpu, &mut remarks);
                 format!("{} ({})", gpu.info().name, gpu.info().backend)
             }
             (None, Device::Reference) => "CPU reference (f64)".to_owned(),
@@ -91,10 +91,10 @@ impl Engines {
             wanted,
             pool: gpu.map(|gpu| Arc::new(Pool::new(gpu, config.in_flight))),
             adapter,
-            choice,
+            kernels,
             remarks,
             ready: Recent::new(),
-            looks: Recent::new(),
+            contacts: Recent::new(),
             building: Mutex::default(),
         })
     }
@@ -128,49 +128,54 @@ impl Engines {
         self.pool.as_ref().map_or(1, |_| self.config.batch.max(1))
     }
 
-    /// The engine for one picture at a time with inputs of `size`, height and width, in the precision that is
+    /// The network for one picture at a time with inputs of `size`, height and width, in the precision that is
     /// asked for.
     ///
     /// # Errors
-    /// As [`Engine::new`].
-    pub fn one(&self, size: [usize; 2]) -> Result<Arc<Engine>> {
-        self.engine(self.whole(size, self.precision()))
+    /// As [`Compiled::new`].
+    pub fn one(&self, size: [usize; 2]) -> Result<Arc<Compiled>> {
+        self.compiled(self.whole(size, self.precision()))
     }
 
     /// What a whole picture alone needs whose input has `size`, height and width, and of which nothing is left
     /// out.
-    pub fn whole(&self, size: [usize; 2], precision: Precision) -> Kind {
-        let proposals = Scene::FULL.proposals(size, false);
-        Kind { size, precision, batch: 1, proposals, deepest: true }
+    pub fn whole(&self, size: [usize; 2], precision: Precision) -> Key {
+        let proposals = Savings::NONE.proposals(size, false);
+        Key { size, precision, batch: 1, proposals, deepest: true }
     }
 
-    /// An engine; built first if no picture asked for it lately. Building blocks this thread.
+    /// A compiled network; built first if no picture asked for it lately. Building blocks this thread.
     ///
     /// # Errors
-    /// As [`Engine::new`].
-    pub fn engine(&self, kind: Kind) -> Result<Arc<Engine>> {
-        // What cannot do without it has one engine for both.
-        let deepest = kind.deepest || !self.model().variant.leaves_deepest();
-        let kind = Kind { deepest, ..kind };
-        self.ready.get_or_build(kind, &self.building, || {
-            let like = self.ready.best(|other| (other.precision == kind.precision, other.deepest));
-            let Kind { size, precision, batch, proposals, deepest } = kind;
+    /// As [`Compiled::new`].
+    pub fn compiled(&self, key: Key) -> Result<Arc<Compiled>> {
+        // What cannot do without it has one for both.
+        let deepest = key.deepest || !self.model().variant.leaves_deepest();
+        let key = Key { deepest, ..key };
+        self.ready.get_or_build(key, &self.building, || {
+            let like = self.ready.best(|other| (other.precision == key.precision, other.deepest));
+            let Key { size, precision, batch, proposals, deepest } = key;
             let wanted = Wanted { most_proposals: proposals, deepest, ..self.wanted };
             let network = Network::new(self.weights.clone(), size, wanted)?;
             let on = self.pool.as_ref().map(|pool| On { pool, precision, batch });
-            let engine = Engine::new(&self.config, network, on, &self.choice, like.as_deref());
+            let engine = Compiled::new(&self.config, network, on, &self.kernels, like.as_deref());
             pollster::block_on(engine)
         })
     }
 
-    /// What looks for contact; built first if no picture asked for it lately. Building blocks this thread.
+    /// The graph of a contact map; built first if no picture asked for it lately. Building blocks this thread.
     ///
     /// # Errors
-    /// As [`Engine::new`].
-    pub fn contact(&self, kind: contact::Kind) -> Result<Arc<contact::Detector>> {
-        self.looks.get_or_build(kind, &self.building, || {
+    /// As [`Compiled::new`].
+    pub fn contact(&self, key: contact_map::Key) -> Result<Arc<contact_map::ContactGraph>> {
+        self.contacts.get_or_build(key, &self.building, || {
             let pool = self.pool.as_ref();
-            pollster::block_on(contact::Detector::new(&self.config, kind, pool, &self.choice))
+            pollster::block_on(contact_map::ContactGraph::new(
+                &self.config,
+                key,
+                pool,
+                &self.kernels,
+            ))
         })
     }
 }
@@ -238,7 +243,7 @@ async fn open_device(config: &Config) -> Result<Option<Arc<Gpu>>> {
     let options = |adapter: AdapterChoice| GpuOptions {
         adapter,
         timeout: config.timeout,
-        checked: config.checked,
+        bounds_checks: config.bounds_checks,
         faults: config.faults.clone(),
     };
     match &config.device {
@@ -250,7 +255,7 @@ async fn open_device(config: &Config) -> Result<Option<Arc<Gpu>>> {
         #[cfg(feature = "cpu")]
         Device::Cpu => Ok(None),
         Device::Reference => Ok(None),
-        Device::Gpu(choice) => Gpu::open(options(choice.clone())).await.map(Some),
+        Device::Gpu(kernels) => Gpu::open(options(kernels.clone())).await.map(Some),
         Device::Auto => match Gpu::open(options(AdapterChoice::Hardware)).await {
             // Without the CPU path a software adapter is better than nothing.
             Err(Error::NoAdapter { .. }) if cfg!(feature = "cpu") => Ok(None),

@@ -1,7 +1,7 @@
 //! Where something touches the gel.
 
 use crate::engine::kernels::{Caps, Dispatch, Grid, Io, Kernel, Recording, Work};
-use crate::engine::ops::Contact;
+use crate::engine::ops::ContactMap;
 use crate::engine::shader::{Shader, Variant, shader_params};
 use crate::engine::shape::TensorSpec;
 use crate::error::Result;
@@ -20,8 +20,11 @@ shader_params! {
     }
 }
 
-static SHADER: Shader =
-    Shader { stem: "contact", source: include_str!("../../../wgsl/contact.wgsl"), params: PARAMS };
+static SHADER: Shader = Shader {
+    stem: "contact_map",
+    source: include_str!("../../../wgsl/contact_map.wgsl"),
+    params: PARAMS,
+};
 
 /// The definition: what each tile differs by, then all tiles against one limit.
 #[derive(Debug)]
@@ -29,7 +32,7 @@ pub(super) struct Planar;
 
 impl Kernel for Planar {
     fn id(&self) -> &'static str {
-        "contact/planar"
+        "contact_map/planar"
     }
 
     fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
@@ -37,9 +40,9 @@ impl Kernel for Planar {
     }
 
     fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
-        let op: &Contact = work.op()?;
+        let op: &ContactMap = work.op()?;
         let [height, width] = [1, 2].map(|i| recording.dims(inputs[0])[i]);
-        let [rows, columns] = Contact::tiles([height, width]);
+        let [rows, columns] = ContactMap::tiles([height, width]);
         let params = Params {
             height: height as u32,
             width: width as u32,

@@ -1,8 +1,6 @@
 //! What may be left out of a picture.
 
-use crate::detector::Detections;
 use crate::error::{Error, Result};
-use crate::sensor::rect::Rect;
 use crate::smr::Wanted;
 
 /// Height and width of the paper's input.
@@ -13,18 +11,18 @@ const TOGETHER: usize = 16;
 const MOST_PROPOSALS: usize = Wanted::ALL.most_proposals;
 
 /// What is left out where a picture does not need it, each saving for itself. Where that leaves a box in doubt,
-/// a second look leaves nothing out. A picture gets the same answer however busy the machine is: only what it
+/// a second run leaves nothing out. A picture gets the same answer however busy the machine is: only what it
 /// shows decides.
 ///
 /// ```
-/// use smr_gpu::{Config, Scene};
+/// use smr_gpu::{Config, Savings};
 ///
-/// let everything = Config::new("weights/smrnet.safetensors").scene(Scene::FULL);
-/// let savings = Config::new("weights/smrnet.safetensors").scene(Scene::SAVING);
-/// assert!(savings.scene.regions && !everything.scene.regions);
+/// let everything = Config { savings: Savings::NONE, ..Config::new("weights/smrnet.safetensors") };
+/// let savings = Config { savings: Savings::ALL, ..Config::new("weights/smrnet.safetensors") };
+/// assert!(savings.savings.regions && !everything.savings.regions);
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Scene {
+pub struct Savings {
     /// Where nothing touches the gel the network does not run: no snap.
     pub contact: bool,
     /// The network looks only where something touches the gel, and `margin_mm` round it, in parts that
@@ -52,9 +50,9 @@ pub struct Scene {
     pub most_proposals: usize,
 }
 
-impl Scene {
+impl Savings {
     /// Nothing is left out.
-    pub const FULL: Self = Self {
+    pub const NONE: Self = Self {
         contact: false,
         regions: false,
         proposals: false,
@@ -65,38 +63,11 @@ impl Scene {
         most_proposals: 32,
     };
     /// All that can be left out is.
-    pub const SAVING: Self =
-        Self { contact: true, regions: true, proposals: true, scales: true, ..Self::FULL };
+    pub const ALL: Self =
+        Self { contact: true, regions: true, proposals: true, scales: true, ..Self::NONE };
 
-    /// What was left out of a picture in which a detector with this scene found `found`, and why, a line each;
-    /// nothing where all was looked at.
-    pub fn left_out(&self, found: &Detections) -> Vec<String> {
-        if found.reused {
-            return vec![
-                "the frame: it equals an earlier one within the sensor's noise".to_owned(),
-            ];
-        }
-        if self.contact && found.contact == Some(false) {
-            return vec!["the network: nothing touches the gel".to_owned()];
-        }
-        let mut left = Vec::new();
-        if let Some(regions) = &found.regions {
-            let share = 1.0 - area(regions) / area(&[found.part]);
-            let margin = self.margin_mm;
-            left.push(format!("{share:.2} of the gel: no contact within {margin} mm of it"));
-        }
-        if self.proposals && !found.looked_again {
-            let most = self.most_proposals;
-            left.push(format!("proposals: none but the best, {most} in 320 x 320 pixels"));
-        }
-        if found.without_deepest {
-            left.push("the deepest scale: no box was in doubt without it".to_owned());
-        }
-        left
-    }
-
-    /// Whether somebody must look for contact.
-    pub fn looks(&self) -> bool {
+    /// Whether they need to know where something touches.
+    pub fn need_contact(&self) -> bool {
         self.contact || self.regions
     }
 
@@ -145,32 +116,11 @@ impl Scene {
     }
 }
 
-/// Pixels that some of `parts` cover.
-fn area(parts: &[Rect]) -> f64 {
-    // Between the columns where a part begins or ends all rows are alike.
-    let mut columns: Vec<u32> =
-        parts.iter().flat_map(|part| [part.x, part.x + part.width]).collect();
-    columns.sort_unstable();
-    let strips = columns.windows(2).map(|ends| {
-        let across = |part: &&Rect| part.x <= ends[0] && ends[1] <= part.x + part.width;
-        let mut rows: Vec<[u32; 2]> =
-            parts.iter().filter(across).map(|part| [part.y, part.y + part.height]).collect();
-        rows.sort_unstable();
-        let (mut covered, mut end) = (0, 0);
-        for [from, to] in rows {
-            covered += to.saturating_sub(from.max(end));
-            end = end.max(to);
-        }
-        f64::from(ends[1] - ends[0]) * f64::from(covered)
-    });
-    strips.sum()
-}
-
-impl Default for Scene {
+impl Default for Savings {
     /// What lost none of 2003 labelled snaps with any weights so far: `contact` and `regions`. `scales` beside
     /// them lost one, `proposals` with earlier weights five, and are for those who ask.
     fn default() -> Self {
-        Self { contact: true, regions: true, ..Self::FULL }
+        Self { contact: true, regions: true, ..Self::NONE }
     }
 }
 
@@ -180,43 +130,32 @@ mod tests {
 
     #[test]
     fn boxes_little_below_the_asked_score_are_doubtful() {
-        let scene = Scene::SAVING;
+        let savings = Savings::ALL;
         // From 0.2, from 0.04.
         for (asked, sure, doubtful) in [
             (0.5, [0.19, 0.51, 0.9], [0.21, 0.35, 0.5]),
             (0.1, [0.03, 0.11, 1.0], [0.05, 0.08, 0.1]),
         ] {
-            assert!(sure.iter().all(|score| !scene.is_doubtful(*score, asked)), "{asked}");
-            assert!(doubtful.iter().all(|score| scene.is_doubtful(*score, asked)), "{asked}");
+            assert!(sure.iter().all(|score| !savings.is_doubtful(*score, asked)), "{asked}");
+            assert!(doubtful.iter().all(|score| savings.is_doubtful(*score, asked)), "{asked}");
         }
-        let certain = Scene { doubt: 0.0, ..scene };
+        let certain = Savings { doubt: 0.0, ..savings };
         assert!([0.0, 0.5, 1.0].iter().all(|score| !certain.is_doubtful(*score, 0.5)));
         // Where nothing is left out the asked-for score decides, and whatever is left out makes doubt.
-        let half = Scene { doubt: 0.5, ..Scene::FULL };
+        let half = Savings { doubt: 0.5, ..Savings::NONE };
         assert_eq!(half.least_score(0.5), 0.5);
         for less in [
-            Scene { regions: true, ..half },
-            Scene { proposals: true, ..half },
-            Scene { scales: true, ..half },
+            Savings { regions: true, ..half },
+            Savings { proposals: true, ..half },
+            Savings { scales: true, ..half },
         ] {
             assert_eq!(less.least_score(0.5), 0.25, "{less:?}");
         }
     }
 
     #[test]
-    fn what_parts_cover_counts_once() {
-        let rect = |x, y, width, height| Rect { x, y, width, height };
-        assert_eq!(area(&[]), 0.0);
-        assert_eq!(area(&[rect(3, 5, 4, 2)]), 8.0);
-        // A common corner of 2 × 3, one inside another, and one apart in the same columns.
-        let parts = [rect(0, 0, 10, 10), rect(8, 7, 10, 10), rect(2, 2, 3, 3), rect(0, 20, 10, 1)];
-        assert_eq!(area(&parts), 100.0 + 100.0 - 6.0 + 10.0);
-        assert_eq!(area(&[rect(0, 0, 2, 2), rect(2, 0, 2, 2), rect(0, 0, 2, 2)]), 8.0);
-    }
-
-    #[test]
     fn an_input_has_its_share_of_the_proposals_in_whole_sixteens() {
-        let (all, saving) = (Scene::FULL, Scene::SAVING);
+        let (all, saving) = (Savings::NONE, Savings::ALL);
         // 32 · 96² / 320² is 3, 32 · 256² / 320² is 20, 32 · 640 · 480 / 320² is 96.
         let sizes = [[96, 96], [160, 160], [256, 256], [320, 320], [480, 640], [640, 640]];
         assert_eq!(sizes.map(|size| saving.proposals(size, false)), [16, 16, 32, 32, 96, 100]);

@@ -15,12 +15,12 @@ use rand_pcg::Pcg64;
 use super::camera::{Camera, NormalTable};
 use super::coating::Coating;
 use super::conditions::{Conditions, Optics, UNIT_CONTRAST};
-use super::frame::Frame;
 use super::label::PixelBox;
 use super::lamps::Lamps;
 use super::markers::Markers;
 use super::optics::Shading;
-use super::profile::rectangle;
+use super::outline::rectangle;
+use super::raster::Raster;
 use super::shadow::{Ray, cast};
 use super::surface::Surface;
 
@@ -82,7 +82,7 @@ impl Flat {
 
 /// All that a sensor adds to a surface.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Look {
+pub struct Appearance {
     /// The camera.
     pub camera: Camera,
     /// The light.
@@ -107,7 +107,7 @@ pub struct Look {
     pub jpeg: Option<u8>,
 }
 
-impl Look {
+impl Appearance {
     /// Draws a plain sensor with this camera.
     pub fn plain(rng: &mut Pcg64, camera: Camera) -> Self {
         let shading = Shading::sample(rng);
@@ -244,7 +244,7 @@ impl Painter {
     /// The picture that a sensor takes of this surface.
     pub fn paint(
         &mut self,
-        look: &Look,
+        look: &Appearance,
         surface: &Surface,
         sideways: Option<&Sideways>,
         rng: &mut Pcg64,
@@ -338,7 +338,7 @@ impl Painter {
     }
 
     /// Brightness over flat gel's by a measured sensor's shading, to `plane`.
-    fn light_measured(&mut self, frame: &Frame, shading: &Shading, channel: usize) {
+    fn light_measured(&mut self, frame: &Raster, shading: &Shading, channel: usize) {
         let (width, height) = (frame.width, frame.height);
         let coefficients = &shading.channels[channel];
         for y in 0..height {
@@ -399,7 +399,7 @@ impl Painter {
     }
 
     /// Multiplies `plane` by the flat gel's levels.
-    fn uneven_light(&mut self, coating: &Coating, frame: &Frame, channel: usize) {
+    fn uneven_light(&mut self, coating: &Coating, frame: &Raster, channel: usize) {
         // The flat field is smooth: every eighth column is enough.
         const STEP: usize = 8;
         let (width, height) = (frame.width, frame.height);
@@ -424,7 +424,7 @@ impl Painter {
 /// Greatest brightness over flat gel's.
 const BRIGHTEST: f32 = 4.0;
 
-impl Look {
+impl Appearance {
     /// Each light's shadows on the surface.
     fn cast_shadows(&self, surface: &Surface) -> Vec<Surface> {
         let Some(shadows) = &self.shadows else { return Vec::new() };

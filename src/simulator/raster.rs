@@ -11,7 +11,7 @@ pub const SIDE_PX: [usize; 2] = [32, 4000];
 
 /// A sensor's frame: the picture's size and its scale on the undeformed gel.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Frame {
+pub struct Raster {
     /// Pixels along x.
     pub width: usize,
     /// Pixels along y.
@@ -20,7 +20,7 @@ pub struct Frame {
     pub mm_per_pixel: f64,
 }
 
-impl Frame {
+impl Raster {
     /// The paper's sensor: 40 × 40 mm of gel on 1000 × 1000 pixels.
     pub const PAPER: Self = Self { width: 1000, height: 1000, mm_per_pixel: 0.04 };
     /// GelSight Mini: 20.3 × 15.2 mm on 320 × 240 pixels.

@@ -72,7 +72,12 @@ fn module(file: &Path, src: &Path) -> Vec<String> {
 
 /// What a module's code uses, as paths from the crate's root; `tests` may use what they like.
 fn uses(code: &str, own: &[String]) -> BTreeSet<Vec<String>> {
-    let code = code.split("#[cfg(test)]\nmod tests").next().unwrap_or_default();
+    let code = code.split("#[cfg(test)]\n").next().unwrap_or_default();
+    // What documentation alone links to.
+    let parts = code.split("#[cfg(doc)]\nuse ").enumerate();
+    let code =
+        parts.map(|(at, part)| if at == 0 { part } else { part.split_once(';').expect("a use").1 });
+    let code = code.collect::<String>();
     let lines = code.lines().filter(|line| !line.trim_start().starts_with("//"));
     let code = lines.collect::<Vec<_>>().join("\n");
     let parent = own.split_last().map_or(&[][..], |(_, parent)| parent);
@@ -115,13 +120,17 @@ fn collect<'a>(text: &'a str, base: Vec<String>, into: &mut BTreeSet<Vec<String>
     }
 }
 
-/// The modules of a table in a module's docs, each with its row.
+/// The modules of the table of files or modules in a module's docs, each with its row.
 fn table(code: &str) -> BTreeMap<String, usize> {
-    let rows = code.lines().filter_map(|line| line.strip_prefix("//! | "));
+    let start = ["//! | module |", "//! | file |"].into_iter().filter_map(|head| code.find(head));
+    let code = start.min().map_or("", |at| &code[at..]);
+    let rows = code.lines().take_while(|line| line.starts_with("//! |"));
+    let rows = rows.filter_map(|line| line.strip_prefix("//! | "));
     let rows = rows.filter(|row| row.starts_with(['[', '`']));
     let cells = rows.filter_map(|row| row.split(" | ").next());
     let names = cells.enumerate().flat_map(|(at, row)| row.split(", ").map(move |m| (m, at)));
-    names.map(|(name, at)| (name.trim_matches(&['[', '`', ']'][..]).to_owned(), at)).collect()
+    let bare = |name: &str| name.trim_matches(&['[', '`', ']'][..]).replace("mod@", "");
+    names.map(|(name, at)| (bare(name), at)).collect()
 }
 
 /// What a module uses of its folder stands above it in the folder's table, or in the same row; so from the

@@ -77,3 +77,14 @@ fn bounds_checks_change_no_bit() {
     }
     assert!(different.is_empty(), "{}", different.join("\n"));
 }
+
+#[cfg(feature = "cpu")]
+#[test]
+fn every_case_is_within_its_bound_on_cores() {
+    use smr_gpu::engine::ops::OPS;
+    use smr_gpu::verify::check::{Selection, Target, rows};
+    let of = |entry| rows(&Target::Cpu, entry, &Selection::default()).expect("legal cases");
+    let rows = OPS.iter().flat_map(|entry| of(entry));
+    let failures: Vec<String> = rows.flat_map(|row| row.failures).collect();
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}

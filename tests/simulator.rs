@@ -13,8 +13,8 @@ use smr_gpu::simulator::calibrate::{self, Ball};
 use smr_gpu::simulator::camera::{Camera, NormalTable};
 use smr_gpu::simulator::conditions::{Conditions, UNIT_CONTRAST};
 use smr_gpu::simulator::contact::{Contact, NO_BODY, Stop, solve};
-use smr_gpu::simulator::dataset::{Progress, Settings, Step, scene_seed, simulate};
-use smr_gpu::simulator::distractors::{Distractor, Drive, Part};
+use smr_gpu::simulator::dataset::{Progress, Settings, Step, simulate};
+use smr_gpu::simulator::distractors::{Distractor, Part};
 use smr_gpu::simulator::forced::Forced;
 use smr_gpu::simulator::gel::{Elasticity, Grid, Layer};
 use smr_gpu::simulator::given::Given;
@@ -25,6 +25,7 @@ use smr_gpu::simulator::optics::{
     Fit, NORMAL_TERMS, POSITION_TERMS, Shading, TERMS, measured_sensors, normal_terms,
     position_terms,
 };
+use smr_gpu::simulator::options::Drive;
 use smr_gpu::simulator::raster::{FIELD_MM, Raster};
 use smr_gpu::simulator::render::{GRID, Rendered, Renderer, Request, STOP, contact_grid};
 use smr_gpu::simulator::scene::{Body, Mix, Placed, Scene};

@@ -6,7 +6,8 @@ use smr_gpu::{Device, GpuDetector, Savings};
 
 use super::detector::{AdapterArgs, NetworkArgs};
 use super::exit::{Exit, Failure};
-use super::output::{json_line, line, tell};
+use super::message::tell;
+use super::output::{json_line, line};
 
 /// Time every command of the network on an adapter
 ///

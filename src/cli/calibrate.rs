@@ -13,7 +13,8 @@ use smr_gpu::simulator::calibrate::{
 
 use super::detector::number;
 use super::exit::{Exit, Failure};
-use super::output::{count, folder_name, line, tell};
+use super::message::tell;
+use super::output::{count, folder_name, line};
 
 /// Fit a sensor to pictures of a ball pressed into it
 ///

@@ -6,7 +6,8 @@ use smr_gpu::{Device, Error, Precision};
 
 use super::detector::{DeviceArgs, open_gpu};
 use super::exit::{Exit, Failure};
-use super::output::{json_line, line, tell};
+use super::message::tell;
+use super::output::{json_line, line};
 
 /// Hold each kernel of each operation to the f64 reference on this machine
 ///

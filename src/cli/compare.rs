@@ -9,7 +9,8 @@ use smr_gpu::{Device, Frame, GpuDetector, Savings, Scale};
 
 use super::detector::{self, AdapterArgs, Assumed, BoxArgs, NetworkArgs, fraction};
 use super::exit::{Exit, Failure};
-use super::output::{count, json_line, line, tell};
+use super::message::tell;
+use super::output::{count, json_line, line};
 use super::picture;
 use super::printable::printable;
 use super::source::{Source, column_width, expand_all};

@@ -15,7 +15,8 @@ use smr_gpu::{Detection, Detections, Frame, GpuDetector, Origin, Precision, Rect
 use super::detector::{self, Assumed, DetectorArgs, exact_fraction, fraction};
 use super::draw::{Artist, Gallery};
 use super::exit::{Exit, Failure, told};
-use super::output::{count, json_line, line, tell};
+use super::message::tell;
+use super::output::{count, json_line, line};
 use super::printable::printable;
 use super::source::{Source, column_width, expand_all};
 use super::{picture, tensors};

@@ -14,12 +14,12 @@ use smr_gpu::{
     WeightSource,
 };
 
-use super::devices::Record;
+use super::adapters::Record;
 use super::exit::{Exit, Failure};
-use super::output::tell;
+use super::folders;
+use super::message::tell;
 use super::probe;
 use super::source::Source;
-use super::tune;
 
 /// The weight files by name, relative to the folders in which they are looked for.
 const WEIGHTS: [(&str, &str); 2] =
@@ -293,7 +293,7 @@ impl NetworkArgs {
         config.savings = savings;
         config.timeout = self.timeout;
         config.precision = self.precision.unwrap_or_default();
-        config.tuned_kernels = tune::folder();
+        config.tuned_kernels = folders::tuned();
         Ok(config)
     }
 }

@@ -1,15 +1,9 @@
 //! `smr-gpu devices`: the adapters, with the limits that matter here.
 
-use serde::{Deserialize, Serialize};
-use smr_gpu::engine::gpu::{AdapterReport, adapters};
-
+use super::adapters::{Limits, Record};
 use super::exit::{Exit, Failure};
 use super::output::{json_line, line};
 use super::probe;
-
-/// Features that the program can use, or that later kernels may: wgpu's names and ours.
-const FEATURES: [(&str, &str); 3] =
-    [("TIMESTAMP_QUERY", "timestamps"), ("SHADER_F16", "f16"), ("SUBGROUP", "subgroups")];
 
 /// List the adapters
 ///
@@ -21,30 +15,6 @@ pub(super) struct Args {
     /// Print one JSON object a line for each adapter.
     #[arg(long)]
     json: bool,
-}
-
-/// One adapter, as `--json` prints it.
-#[derive(Debug, Serialize, Deserialize)]
-pub(super) struct Record {
-    index: usize,
-    name: String,
-    backend: String,
-    driver: String,
-    #[serde(rename = "type")]
-    kind: String,
-    limits: Limits,
-    features: Vec<String>,
-    lacks: Vec<String>,
-}
-
-#[derive(Debug, Serialize, Deserialize)]
-struct Limits {
-    workgroup_memory_bytes: u32,
-    workgroup_invocations: u32,
-    storage_buffers_per_stage: u32,
-    storage_binding_bytes: u64,
-    workgroups_per_dimension: u32,
-    subgroup_sizes: [u32; 2],
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
@@ -67,42 +37,6 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         return Err(Failure::new(Exit::Device, message));
     }
     Ok(Exit::Done)
-}
-
-impl Record {
-    /// All adapters, best first. Loads their drivers.
-    pub fn all() -> Vec<Self> {
-        let found = pollster::block_on(adapters());
-        found.iter().enumerate().map(|(index, report)| record(index, report)).collect()
-    }
-
-    /// Whether it is hardware that gives what the kernels need.
-    pub fn serves(&self) -> bool {
-        // As wgpu calls software.
-        self.kind != "Cpu" && self.lacks.is_empty()
-    }
-}
-
-fn record(index: usize, report: &AdapterReport) -> Record {
-    let (info, limits) = (&report.info, &report.limits);
-    let has = |name: &str| report.features.iter_names().any(|(n, _)| n == name);
-    Record {
-        index,
-        name: info.name.clone(),
-        backend: info.backend.to_string(),
-        driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
-        kind: format!("{:?}", info.device_type),
-        limits: Limits {
-            workgroup_memory_bytes: limits.max_compute_workgroup_storage_size,
-            workgroup_invocations: limits.max_compute_invocations_per_workgroup,
-            storage_buffers_per_stage: limits.max_storage_buffers_per_shader_stage,
-            storage_binding_bytes: limits.max_storage_buffer_binding_size,
-            workgroups_per_dimension: limits.max_compute_workgroups_per_dimension,
-            subgroup_sizes: [info.subgroup_min_size, info.subgroup_max_size],
-        },
-        features: FEATURES.iter().filter(|(n, _)| has(n)).map(|(_, ours)| (*ours).into()).collect(),
-        lacks: report.lacks.clone(),
-    }
 }
 
 fn print(r: &Record) -> Result<(), Failure> {

@@ -14,7 +14,8 @@ use smr_gpu::files::{self, Outputs};
 use smr_gpu::{Detection, Detections};
 
 use super::exit::{Exit, Failure};
-use super::source::{Source, shown};
+use super::names::shown;
+use super::source::Source;
 
 pub(super) const FONT: &[u8] = include_bytes!("../../assets/font/DejaVuSans-Bold.ttf");
 

@@ -4,7 +4,7 @@ use std::fmt::Display;
 
 use smr_gpu::{Error, files};
 
-use super::output::tell;
+use super::message::tell;
 
 /// Shown below `--help`.
 pub(super) const HELP: &str = "\

@@ -2,6 +2,7 @@
 //!
 //! Data goes to stdout, messages for people to stderr; exit codes are in [`exit`].
 
+mod adapters;
 mod bench;
 mod calibrate;
 mod check;
@@ -12,6 +13,9 @@ mod devices;
 mod draw;
 mod eval;
 mod exit;
+mod folders;
+mod message;
+mod names;
 mod op;
 mod output;
 mod picture;
@@ -66,7 +70,7 @@ pub(crate) fn run() -> ExitCode {
     hush_decoders();
     let exit = parse_and_run().unwrap_or_else(|Failure { exit, message }| {
         if let Some(message) = message {
-            output::tell(message);
+            message::tell(message);
         }
         exit
     });

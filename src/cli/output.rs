@@ -7,15 +7,9 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::exit::{Exit, Failure};
+use super::names::shown;
 use super::printable::printable;
-use super::source::shown;
 use super::stdout;
-
-/// Tells the user something on stderr, in one line.
-pub(super) fn tell(message: impl Display) {
-    // If stderr is gone, nobody is left to be told.
-    let _ = writeln!(std::io::stderr(), "smr-gpu: {}", printable(message));
-}
 
 /// A folder's own name, after which what is written of it is called, also where the path ends with `.` or `..`.
 pub(super) fn folder_name(path: &Path) -> String {

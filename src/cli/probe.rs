@@ -6,7 +6,7 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
-use super::devices::Record;
+use super::adapters::Record;
 use super::exit::{Exit, Failure};
 use super::output::json_line;
 

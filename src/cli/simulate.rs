@@ -17,7 +17,8 @@ use smr_gpu::simulator::scene::Mix;
 
 use super::detector::sensor;
 use super::exit::{Exit, Failure};
-use super::output::{self, tell};
+use super::message::tell;
+use super::output;
 
 /// Simulate pictures of snaps pressed into the sensor's gel
 ///

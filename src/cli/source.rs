@@ -1,15 +1,13 @@
 //! What `detect` and `compare` are pointed at: files, folders, patterns, stdin.
 
-use std::ffi::OsStr;
-use std::fmt::{self, Write};
+use std::fmt;
 use std::path::{Path, PathBuf};
 
-use base64::Engine;
-use base64::prelude::BASE64_STANDARD;
 use smr_gpu::picture::{ENDINGS, has_ending};
 
 use super::exit::{Exit, Failure};
-use super::output::tell;
+use super::message::tell;
+use super::names::{base64, shown};
 use super::printable::printable;
 
 /// One picture to read.
@@ -45,37 +43,6 @@ impl Source {
             Self::Stdin => None,
         }
     }
-}
-
-/// A name as text. In one that is no Unicode what is none comes as `\xNN`, and a backslash doubled: two such
-/// names do not become one.
-pub(super) fn shown(name: &OsStr) -> String {
-    if let Some(name) = name.to_str() {
-        return name.to_owned();
-    }
-    let mut text = String::new();
-    for chunk in name.as_encoded_bytes().utf8_chunks() {
-        text += &chunk.valid().replace('\\', "\\\\");
-        for byte in chunk.invalid() {
-            // Writing to a string does not fail.
-            let _ = write!(text, "\\x{byte:02x}");
-        }
-    }
-    text
-}
-
-/// For `--json`, the bytes of a name that is no Unicode, in base64: on Windows, where names are of 16-bit
-/// units, those, little end first. `None` for all other names.
-pub(super) fn base64(name: &OsStr) -> Option<String> {
-    if name.to_str().is_some() {
-        return None;
-    }
-    #[cfg(windows)]
-    let bytes: Vec<u8> =
-        std::os::windows::ffi::OsStrExt::encode_wide(name).flat_map(u16::to_le_bytes).collect();
-    #[cfg(not(windows))]
-    let bytes = name.as_encoded_bytes();
-    Some(BASE64_STANDARD.encode(bytes))
 }
 
 /// What all of a command's arguments name. What cannot be read is told; then the exit code is

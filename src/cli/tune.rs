@@ -11,10 +11,9 @@ use smr_gpu::{Device, GpuDetector, Savings};
 
 use super::detector::{AdapterArgs, NetworkArgs};
 use super::exit::{Exit, Failure};
-use super::output::{line, tell};
-
-/// Names the folder of the choices where the system's convention does not.
-const FOLDER_VARIABLE: &str = "SMR_GPU_CACHE";
+use super::folders::{self, CACHE_VARIABLE};
+use super::message::tell;
+use super::output::line;
 
 /// Measure which kernels are fastest on an adapter, and keep the choice
 ///
@@ -50,8 +49,8 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let path = match args.out {
         Some(path) => path,
         None => {
-            let folder = folder().ok_or_else(|| {
-                let message = format!("no cache folder: name one in {FOLDER_VARIABLE}, or --out");
+            let folder = folders::tuned().ok_or_else(|| {
+                let message = format!("no cache folder: name one in {CACHE_VARIABLE}, or --out");
                 Failure::usage(message)
             })?;
             std::fs::create_dir_all(&folder)
@@ -80,20 +79,4 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         line(format!("{kernel:<28} {key}"))?;
     }
     Ok(Exit::Done)
-}
-
-/// Where the choices are kept.
-pub(super) fn folder() -> Option<PathBuf> {
-    let variable = |name| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
-    if let Some(folder) = variable(FOLDER_VARIABLE) {
-        return Some(folder);
-    }
-    let caches = if cfg!(windows) {
-        variable("LOCALAPPDATA")
-    } else if cfg!(target_os = "macos") {
-        std::env::home_dir().map(|home| home.join("Library/Caches"))
-    } else {
-        variable("XDG_CACHE_HOME").or_else(|| Some(std::env::home_dir()?.join(".cache")))
-    };
-    caches.map(|folder| folder.join("smr-gpu"))
 }

@@ -115,7 +115,7 @@ pub struct Config {
     pub weights: WeightSource,
     /// What runs the network.
     pub device: Device,
-    /// The sensor that takes the pictures; `None` if nobody knows: see [`crate::sensor::scale`].
+    /// The sensor that takes the pictures; `None` if nobody knows: see [`Scale`](crate::Scale).
     pub sensor: Option<Sensor>,
     /// Millimetres of gel for a pixel of the frames that come, whatever their size; `None` for what the
     /// sensor says. Which part of a frame is gel is a question of its own.
@@ -170,7 +170,7 @@ pub struct Config {
     pub tuned_kernels: Option<PathBuf>,
     /// Let wgpu check the shaders' bounds (slower; see [`GpuOptions::bounds_checks`]).
     pub bounds_checks: bool,
-    /// Keep every stage's tensor, for [`GpuDetector::detect_with_stages`]; takes more memory, and nothing
+    /// Keep every stage's tensor, for [`crate::verify::stages`]; takes more memory, and nothing
     /// of a picture is left out.
     pub keep_stages: bool,
     /// For tests: calls to the device that fail.

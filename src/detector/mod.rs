@@ -239,7 +239,7 @@ impl GpuDetector {
     }
 
     /// Finds the snaps in a [`Frame`], or with the feature `image` in a picture of that crate.
-    /// [`Scale`](crate::Scale) has which part of it is taken for gel, and at which scale. Of a frame whose scale
+    /// [`Scale`] has which part of it is taken for gel, and at which scale. Of a frame whose scale
     /// nobody states the middle 60 mm at most along the longer side are seen, and [`Detections::assumption`] says
     /// what was assumed.
     ///

@@ -66,7 +66,7 @@ impl Pool {
     /// Waits for an arena. Callers need not get theirs in the order in which they came.
     ///
     /// # Errors
-    /// [`crate::Error::Timeout`] past the deadline.
+    /// [`crate::error::Error::Timeout`] past the deadline.
     async fn take(&self, deadline: Deadline) -> Result<Arc<Arena>> {
         let mut alarm = None;
         poll_fn(|context| self.poll_take(context, deadline, &mut alarm)).await
@@ -99,7 +99,7 @@ impl Pool {
         state.late.iter().for_each(|(_, slot)| slot.wake_when_free(context.waker()));
         add_waker(&mut state.waiting, context.waker());
         drop(state);
-        *alarm = deadline.wake(&self.gpu, context.waker());
+        *alarm = self.gpu.wake_at(deadline, context.waker());
         Poll::Pending
     }
 }
@@ -125,7 +125,7 @@ impl Slots {
     /// Runs pictures, when there is memory for them.
     ///
     /// # Errors
-    /// [`crate::Error::Timeout`] past the deadline; what making a slot and its run return.
+    /// [`crate::error::Error::Timeout`] past the deadline; what making a slot and its run return.
     pub async fn run(&self, pictures: &[&Inputs<'_>], deadline: Deadline) -> Result<RunOutput> {
         let arena = self.pool.take(deadline).await?;
         let mut lease = Lease { of: self, arena, slot: None };

@@ -64,7 +64,7 @@ impl Turns {
     }
 
     /// # Errors
-    /// [`crate::Error::Timeout`] past the deadline.
+    /// [`crate::error::Error::Timeout`] past the deadline.
     fn take(&self, deadline: Deadline) -> Result<Turn<'_>> {
         /// Between two looks at the clock.
         const PAUSE: Duration = Duration::from_millis(10);

@@ -6,7 +6,7 @@
 //! | `lock`, `cores`, `milliseconds` | locks, threads, how times are serialised |
 //! | [`shape`], [`tensor`], [`precision`] | shapes, tensors in host memory, how a GPU stores them: f32 or f16 |
 //! | [`pixel_order`] | which bytes of a pixel are which colour |
-//! | [`reference`] | each operation from its definition, with f64 sums |
+//! | [`mod@reference`] | each operation from its definition, with f64 sums |
 //! | [`ops`] | each operation: parameters, shape check, error bound, cases |
 //! | [`graph`] | operations over named tensors |
 //! | [`shader`] | WGSL put together from its parts, checked and reflected by naga |

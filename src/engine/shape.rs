@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 
 /// Bytes of the largest tensor: what every device can bind.
 pub(crate) const MAX_BYTES: u64 = 128 << 20;
-/// Pixels of the largest picture: as RGBA8 they fill [`MAX_BYTES`].
+/// Pixels of the largest picture: as RGBA8 they fill the largest tensor, 128 MiB.
 pub const MAX_PIXELS: usize = MAX_BYTES as usize / 4;
 
 /// Dimensions of a dense row-major tensor, outermost first.

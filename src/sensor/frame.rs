@@ -2,7 +2,7 @@
 //!
 //! A [`Frame`] is bytes with a width, a height, the distance between rows and a [`PixelFormat`]. Which
 //! part of it shows the gel and at which scale, the [`crate::Sensor`] says, or the frame itself
-//! ([`crate::sensor::scale`]); nothing else is converted.
+//! ([`Scale`]); nothing else is converted.
 
 use std::borrow::Cow;
 use std::fmt;

@@ -1,22 +1,12 @@
-//! What a sensor's pictures show: how much gel, and where in them.
+//! Frames in memory: which part of them is gel, at which scale, and how that is known.
 //!
-//! A [`Sensor`] sets two things. Positions come in millimetres on its gel. And the network, which knows
-//! snaps at one scale, gets its input at that scale: as many pixels as the gel's size asks for, width
-//! and height apart.
-//!
-//! As a file it is JSON with the fields of [`Sensor`], of which only `name` must be there:
-//!
-//! ```
-//! let text = r#"{
-//!     "name": "bench 3",
-//!     "frame": [640, 480],
-//!     "gel": { "x": 40, "y": 0, "width": 560, "height": 480 },
-//!     "mm_per_pixel": 0.032,
-//!     "distortion": -0.02
-//! }"#;
-//! let sensor = smr_gpu::Sensor::parse(text).unwrap();
-//! assert_eq!(sensor.frame, Some([640, 480]));
-//! ```
+//! | file | what it holds |
+//! |---|---|
+//! | `rect` | parts of pictures |
+//! | `pixel_format` | how a camera's pixels lie in memory |
+//! | `scale` | millimetres of a pixel, the part that is gel, and how each is known |
+//! | `frame` | a picture in memory |
+//! | `view` | what a frame shows: its gel, its scale, what of it the network sees |
 
 pub(crate) mod frame;
 pub(crate) mod pixel_format;
@@ -54,7 +44,25 @@ const SAME_SHAPE: f64 = 0.01;
 /// Largest sensor file in bytes.
 const MAX_FILE: u64 = 1 << 20;
 
-/// What a sensor's pictures show.
+/// What a sensor's pictures show: how much gel, and where in them.
+///
+/// It sets two things. Positions come in millimetres on its gel. And the network, which knows
+/// snaps at one scale, gets its input at that scale: as many pixels as the gel's size asks for, width
+/// and height apart.
+///
+/// As a file it is JSON with the fields of [`Sensor`], of which only `name` must be there:
+///
+/// ```
+/// let text = r#"{
+///     "name": "bench 3",
+///     "frame": [640, 480],
+///     "gel": { "x": 40, "y": 0, "width": 560, "height": 480 },
+///     "mm_per_pixel": 0.032,
+///     "distortion": -0.02
+/// }"#;
+/// let sensor = smr_gpu::Sensor::parse(text).unwrap();
+/// assert_eq!(sensor.frame, Some([640, 480]));
+/// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sensor {

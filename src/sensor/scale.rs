@@ -1,18 +1,4 @@
 //! How many millimetres of gel a pixel shows, which part of a frame is gel, and how each is known.
-//!
-//! One function finds both, `view`, for every path that a frame can take. The first that says it counts:
-//!
-//! | | who says it | it is then |
-//! |---|---|---|
-//! | scale | [`Frame::scale`](crate::Frame::scale), else [`Config::mm_per_pixel`](crate::Config::mm_per_pixel) | [`Origin::Stated`], or [`Origin::Label`] |
-//! | | [`Config::sensor`](crate::Config::sensor), by the frame's size | [`Origin::Sensor`] |
-//! | | nobody: 40 mm along the gel's shorter side, as the paper's sensor has | [`Origin::Assumed`] |
-//! | gel | [`Frame::gel`](crate::Frame::gel), else [`Config::gel`](crate::Config::gel) | stated |
-//! | | [`Config::sensor`](crate::Config::sensor), by the frame's size | the sensor's |
-//! | | nobody: the middle square of a frame of the paper's 16 : 10, unless its stated scale is another; else all of the frame | assumed |
-//!
-//! A crop ([`crate::Frame::crop`]) cuts what the network sees. It changes neither the scale nor where
-//! millimetres begin, which is the middle of the gel.
 
 use std::str::FromStr;
 
@@ -27,6 +13,20 @@ pub(crate) const PAPER_MM: f32 = 40.0;
 pub(crate) const MM_PER_PIXEL: [f32; 2] = [5e-4, 1.0];
 
 /// How many millimetres of gel a pixel of a frame shows, and how that is known.
+///
+/// Scale and gel are found in one way for every frame. The first that says it counts:
+///
+/// | | who says it | it is then |
+/// |---|---|---|
+/// | scale | [`Frame::scale`](crate::Frame::scale), else [`Config::mm_per_pixel`](crate::Config::mm_per_pixel) | [`Origin::Stated`], or [`Origin::Label`] |
+/// | | [`Config::sensor`](crate::Config::sensor), by the frame's size | [`Origin::Sensor`] |
+/// | | nobody: 40 mm along the gel's shorter side, as the paper's sensor has | [`Origin::Assumed`] |
+/// | gel | [`Frame::gel`](crate::Frame::gel), else [`Config::gel`](crate::Config::gel) | stated |
+/// | | [`Config::sensor`](crate::Config::sensor), by the frame's size | the sensor's |
+/// | | nobody: the middle square of a frame of the paper's 16 : 10, unless its stated scale is another; else all of the frame | assumed |
+///
+/// A crop ([`Frame::crop`](crate::Frame::crop)) cuts what the network sees. It changes neither the scale nor where
+/// millimetres begin, which is the middle of the gel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scale {
     /// Millimetres on the undeformed gel for a pixel of the frame, 0.0005 to 1.

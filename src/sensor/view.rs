@@ -1,5 +1,5 @@
 //! What a frame shows: which part is gel, at which scale, and what the network sees of it
-//! ([`crate::sensor::scale`] has the order in which this is found).
+//! ([`Scale`] has the order in which this is found).
 
 use crate::error::{Error, Result};
 use crate::sensor::rect::Rect;

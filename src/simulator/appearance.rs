@@ -14,12 +14,13 @@ use rand_pcg::Pcg64;
 
 use super::camera::{Camera, NormalTable};
 use super::coating::Coating;
-use super::conditions::{Conditions, Optics, UNIT_CONTRAST};
-use super::label::PixelBox;
+use super::conditions::{Conditions, UNIT_CONTRAST};
 use super::lamps::Lamps;
 use super::markers::Markers;
 use super::optics::Shading;
+use super::options::Optics;
 use super::outline::rectangle;
+use super::raster::PixelBox;
 use super::raster::Raster;
 use super::shadow::{Ray, cast};
 use super::surface::Surface;

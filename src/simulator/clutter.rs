@@ -9,7 +9,7 @@ use rand::RngExt;
 use rand_pcg::Pcg64;
 
 use super::outline::{rectangle, rounded_edge, stroke};
-use super::scene::Pose;
+use super::pose::Pose;
 
 /// Height far outside all shapes, in millimetres.
 const NOTHING_MM: f64 = -10.0;

@@ -9,7 +9,8 @@ use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
 use super::forced::{Forced, Span};
-use super::label::PixelBox;
+use super::options::{MILD_GEL_MM, Mechanics, Optics};
+use super::raster::PixelBox;
 use super::raster::{FIELD_MM, Raster};
 
 /// From what a picture's conditions are drawn.
@@ -21,26 +22,6 @@ pub enum Distribution {
     Plain,
     /// Wider than any one sensor; a fifth of it is plain.
     Wide,
-}
-
-/// What a picture's shading comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Optics {
-    /// A mixture of a measured sensor's lights.
-    Measured,
-    /// Lamps at finite angles over a matt coating.
-    Lamps,
-}
-
-/// How the gel's surface follows what presses on it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Mechanics {
-    /// The elastic layer in contact.
-    Elastic,
-    /// The part's own relief, smoothed: no mechanics, but what other renderers draw.
-    Smoothed,
 }
 
 /// A picture's conditions.
@@ -88,9 +69,6 @@ pub struct Conditions {
 /// Contrast ([`Shading::contrast`](super::optics::Shading::contrast)) of a strength of 1.
 /// Plain sensors have 0.06 to 0.31 (nine in ten of them), half of them less than 0.12.
 pub const UNIT_CONTRAST: f64 = 0.1;
-
-/// Thickness of the gel where nothing is strong: the paper's.
-pub(super) const MILD_GEL_MM: f64 = 4.0;
 
 /// A condition that can be strong.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -33,7 +33,7 @@ use super::forced::Forced;
 use super::label::Label;
 use super::raster::Raster;
 use super::render::{Rendered, Renderer, Request};
-use super::scene::Mix;
+use super::scene::{Mix, scene_seed};
 use super::snaps::Kind;
 use super::{Error, on_threads};
 use crate::files;
@@ -149,16 +149,6 @@ struct Sidecar {
 #[derive(Deserialize)]
 struct AnyLabel {
     scene_seed: u64,
-}
-
-/// Seed of the scene with this number in a data set: SplitMix64's finaliser over both.
-pub fn scene_seed(seed: u64, index: u64) -> u64 {
-    let mix = |mut z: u64| {
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    };
-    mix(mix(seed.wrapping_add(0x9e37_79b9_7f4a_7c15)).wrapping_add(index))
 }
 
 /// Renders what is missing of a data set, then writes `annotations.json`.

@@ -5,30 +5,9 @@ use rand_pcg::Pcg64;
 
 use super::clutter::Clutter;
 use super::forced::Forced;
+use super::options::Drive;
 use super::outline::{rectangle, rounded_edge, smooth_min, stroke};
 use super::snaps::Stud;
-
-/// The recess of a screw's head.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Drive {
-    /// A cross.
-    Cross,
-    /// One slot.
-    Slot,
-    /// A hexagon.
-    Hex,
-}
-
-impl Drive {
-    fn sample(rng: &mut Pcg64) -> Self {
-        match rng.random_range(0..3) {
-            0 => Self::Cross,
-            1 => Self::Slot,
-            _ => Self::Hex,
-        }
-    }
-}
 
 /// A line from point to point, in millimetres.
 pub type Line = [[f64; 2]; 2];

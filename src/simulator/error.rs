@@ -76,7 +76,7 @@ pub enum Error {
     },
     /// A sensor that cannot be, or that cannot be simulated.
     #[error(transparent)]
-    Sensor(#[from] crate::Error),
+    Sensor(#[from] crate::error::Error),
     /// Presses do not determine a sensor.
     #[error(
         "{path}: expected presses that determine the {expected} coefficients of each channel, got \

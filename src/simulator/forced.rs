@@ -8,8 +8,7 @@ use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::conditions::{MILD_GEL_MM, Mechanics, Optics};
-use super::distractors::Drive;
+use super::options::{Drive, MILD_GEL_MM, Mechanics, Optics};
 use super::raster::{FIELD_MM, Raster};
 
 /// A number, or a range from which it is drawn evenly.

@@ -9,10 +9,11 @@ use std::path::PathBuf;
 
 use super::Error;
 use super::appearance::{Appearance, Flat, Housing, Light};
-use super::conditions::{Conditions, Optics, UNIT_CONTRAST};
+use super::conditions::{Conditions, UNIT_CONTRAST};
 use super::forced::{Forced, Span};
-use super::label::PixelBox;
 use super::optics::{Channel, Shading};
+use super::options::Optics;
+use super::raster::PixelBox;
 use super::raster::{Raster, SIDE_PX};
 use crate::picture;
 use crate::sensor::rect::Rect;
@@ -46,7 +47,7 @@ impl Given {
         sensor.light = sensor.light.map(|light| light.rounded());
         sensor.reference_frame = None;
         let fail = |message: String| {
-            Error::Sensor(crate::Error::Sensor { sensor: sensor.name.clone(), message })
+            Error::Sensor(crate::error::Error::Sensor { sensor: sensor.name.clone(), message })
         };
         let Some([width, height]) = sensor.frame else {
             return Err(fail("frame: expected one to draw, got none".into()));

@@ -5,11 +5,9 @@ use serde::{Deserialize, Serialize};
 use super::camera::Camera;
 use super::contact::Contact;
 use super::gel::Grid;
+use super::raster::PixelBox;
 use super::scene::{Body, Placed};
 use super::snaps::{Kind, Snap};
-
-/// A box in pixels: `x0, y0, x1, y1` as edges of pixels, so the whole picture is 0 to its size.
-pub type PixelBox = [f64; 4];
 
 /// An imprint's longer side must be at least this, in millimetres, or the scene is drawn anew: no
 /// snap is visible without a label.

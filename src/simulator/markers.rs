@@ -4,7 +4,7 @@ use glam::DVec2;
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
-use super::scene::Pose;
+use super::pose::Pose;
 
 /// Widest jitter of a dot, as a share of the pitch: its neighbours' cells are searched.
 const MOST_JITTER: f64 = 0.5;

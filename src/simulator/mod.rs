@@ -1,20 +1,22 @@
 //! The simulated sensor: rigid parts are pressed into the gel, lit, and photographed.
 //!
-//! | step | module | what it does |
+//! | module | step | what it does |
 //! |---|---|---|
-//! | parts | [`snaps`], [`distractors`], [`clutter`], [`outline`] | height fields of what presses on the gel |
-//! | layout | [`scene`], [`layout`] | draws a plain or a wide scene and makes one rigid body of it |
-//! | mechanics | [`gel`], [`contact`], [`smooth`], [`surface`] | the gel's surface under that body |
-//! | conditions | [`raster`], [`conditions`], [`forced`] | what differs from sensor to sensor, drawn or forced |
-//! | light | [`optics`], [`lamps`], [`shadow`] | brightness of a slope, measured or modelled; shadows |
-//! | coating | [`coating`], [`markers`] | the coating, its wear and its dust; its print |
-//! | camera | [`camera`] | parallax, distortion, defocus, noise, 8 bits |
-//! | labels | [`label`] | boxes round the imprints, seen through the same camera |
-//! | press | [`press`] | one press as frames in their order |
-//! | one sensor | [`given`] | a user's own sensor, from its file |
-//! | picture | [`appearance`], [`render`] | one sensor's picture of a surface; all of it for one seed |
-//! | files | [`dataset`] | folders of pictures with COCO labels |
-//! | truth | [`calibrate`] | fits the optics to real presses and measures the distance to them |
+//! | `error` | | typed errors |
+//! | [`outline`], [`pose`], [`raster`], [`options`] | | edges of parts, where they lie, a picture's pixels, what is forced by name |
+//! | [`gel`], [`contact`], [`shadow`] | mechanics, light | the elastic layer, contact with a rigid body; shadows |
+//! | [`forced`], [`conditions`] | conditions | what differs from sensor to sensor, forced or drawn |
+//! | [`clutter`], [`snaps`], [`distractors`] | parts | height fields of what presses on the gel |
+//! | [`smooth`] | mechanics | smoothed reliefs |
+//! | [`camera`], [`optics`], [`lamps`] | camera, light | parallax, distortion, defocus, noise; brightness of a slope, measured or modelled |
+//! | [`surface`] | mechanics | the gel's surface under a body |
+//! | [`scene`], [`layout`] | layout | draws a plain or a wide scene and makes one rigid body of it |
+//! | [`coating`], [`markers`] | coating | the coating, its wear and its dust; its print |
+//! | [`label`] | labels | boxes round the imprints, seen through the same camera |
+//! | [`calibrate`] | truth | fits the optics to real presses and measures the distance to them |
+//! | [`appearance`], [`press`], [`given`] | picture | what one sensor makes of a surface; a press as frames; a user's own sensor |
+//! | [`render`] | picture | all of it for one seed |
+//! | [`dataset`] | files | folders of pictures with COCO labels |
 //!
 //! There are two distributions. *Plain* is the paper's sensor. *Wide* is wider than any one sensor,
 //! so that what a detector learns from it is the snap and not the sensor: it need not be right
@@ -57,7 +59,9 @@ pub mod lamps;
 pub mod layout;
 pub mod markers;
 pub mod optics;
+pub mod options;
 pub mod outline;
+pub mod pose;
 pub mod press;
 pub mod raster;
 pub mod render;

@@ -9,6 +9,9 @@ pub const FIELD_MM: [f64; 2] = [sensor::FIELD_MM[0] as f64, sensor::FIELD_MM[1] 
 /// Shortest and longest side of a frame that is drawn, in pixels.
 pub const SIDE_PX: [usize; 2] = [32, 4000];
 
+/// A box in pixels: `x0, y0, x1, y1` as edges of pixels, so the whole picture is 0 to its size.
+pub type PixelBox = [f64; 4];
+
 /// A sensor's frame: the picture's size and its scale on the undeformed gel.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Raster {

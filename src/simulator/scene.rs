@@ -7,6 +7,7 @@ use rand_pcg::Pcg64;
 use super::contact::NO_BODY;
 use super::distractors::Distractor;
 use super::gel::Grid;
+use super::pose::Pose;
 use super::raster::Raster;
 use super::snaps::{Kind, Snap};
 
@@ -18,28 +19,6 @@ const CLEARANCE_MM: f64 = 0.8;
 
 /// Heights further than this below the gel's surface are left out of the rigid body.
 const BODY_DEPTH_MM: f64 = 3.0;
-
-/// Where a part's own frame lies on the gel.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pose {
-    /// The frame's origin in millimetres from the gel's centre.
-    pub origin_mm: DVec2,
-    /// Direction of its x on the gel, of length 1; its y is a quarter turn further.
-    pub x: DVec2,
-}
-
-impl Pose {
-    /// The place on the gel of a point of the frame.
-    pub fn gel(&self, [u, v]: [f64; 2]) -> DVec2 {
-        self.origin_mm + self.x * u + self.x.perp() * v
-    }
-
-    /// The point of the frame at a place on the gel.
-    pub fn own(&self, place: DVec2) -> DVec2 {
-        let from = place - self.origin_mm;
-        DVec2::new(self.x.dot(from), self.x.perp().dot(from))
-    }
-}
 
 /// A part somewhere on the gel.
 #[derive(Debug, Clone, PartialEq)]
@@ -289,4 +268,14 @@ pub(super) fn sample_tilt(rng: &mut Pcg64, degrees: f64) -> [f64; 2] {
     let slope = (degrees * rng.random_range(0.0..1.0)).to_radians().tan();
     let angle = rng.random_range(0.0..std::f64::consts::TAU);
     [slope * f64::cos(angle), slope * f64::sin(angle)]
+}
+
+/// Seed of the scene with this number in a data set: SplitMix64's finaliser over both.
+pub fn scene_seed(seed: u64, index: u64) -> u64 {
+    let mix = |mut z: u64| {
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    };
+    mix(mix(seed.wrapping_add(0x9e37_79b9_7f4a_7c15)).wrapping_add(index))
 }

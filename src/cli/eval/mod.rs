@@ -20,9 +20,11 @@ use smr_gpu::{Detections, Frame, GpuDetector, Origin};
 use super::detector::{self, Assumed, DetectorArgs, fraction};
 use super::draw::Gallery;
 use super::exit::{Exit, Failure, told};
-use super::output::{folder_name, json_line, tell};
+use super::message::tell;
+use super::names::{base64, shown};
+use super::output::{folder_name, json_line};
 use super::picture;
-use super::source::{Source, base64, shown};
+use super::source::Source;
 
 /// Longest annotations.json: COCO's own of 118 thousand pictures is half as long.
 const MAX_ANNOTATIONS: u64 = 1 << 30;

@@ -3,7 +3,8 @@
 use smr_gpu::evaluation::{Figures, LEAST_SCORE, Third, share_within};
 
 use super::super::exit::Failure;
-use super::super::output::{count, line, tell};
+use super::super::message::tell;
+use super::super::output::{count, line};
 use super::super::printable::printable;
 use super::{Labelled, Paper, Report};
 

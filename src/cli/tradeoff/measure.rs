@@ -17,7 +17,7 @@ use smr_gpu::{Config, Detection, Detections, Frame, GpuDetector};
 use super::super::detector;
 use super::super::eval::{Labelled, seen};
 use super::super::exit::{Exit, Failure};
-use super::super::output::tell;
+use super::super::message::tell;
 use super::super::picture;
 use super::super::source::Source;
 use super::setups::{BATCH, Plan, configured, weights_of};

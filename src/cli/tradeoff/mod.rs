@@ -20,7 +20,8 @@ pub(super) use setups::configured;
 use super::detector::{DetectorArgs, exact_fraction, known, number, open_gpu};
 use super::eval::read_labels;
 use super::exit::{Exit, Failure, as_typed};
-use super::output::{line, tell};
+use super::message::tell;
+use super::output::line;
 
 /// Measure error against run time of the ways to run the networks here
 ///

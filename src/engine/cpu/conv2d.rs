@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use super::epilogue::{Epilogue, MapShape};
 use super::gemm::{Panels, order, vectorised};
 use super::kernel::{Data, Kernel};
 use super::packs::Pack;
@@ -31,64 +32,11 @@ pub(super) struct Convolution {
     epilogue: Epilogue,
 }
 
-/// Sizes of a convolution's maps and kernel.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct MapShape {
-    pub in_c: usize,
-    pub in_h: usize,
-    pub in_w: usize,
-    pub out_c: usize,
-    pub out_h: usize,
-    pub out_w: usize,
-    pub kh: usize,
-    pub kw: usize,
-}
-
-impl MapShape {
-    /// Output pixels.
-    pub fn pixels(&self) -> usize {
-        self.out_h * self.out_w
-    }
-
-    /// Products in one output.
-    pub fn terms(&self) -> usize {
-        self.in_c * self.kh * self.kw
-    }
-}
-
 #[derive(Debug)]
 enum Algorithm {
     /// Weights in [`Panels`], their inputs in the order `[kh, kw, I]`.
     Im2col(Arc<Vec<f32>>),
     Winograd(Winograd),
-}
-
-/// What happens to a finished sum.
-#[derive(Debug)]
-pub(super) struct Epilogue {
-    bias: Vec<f32>,
-    relu: bool,
-}
-
-impl Epilogue {
-    /// `out[o] = relu(sums[o] + bias[o] (+ residual[o]))` for the channels from `first`; NaN stays.
-    #[inline(always)]
-    pub fn apply(&self, out: &mut [f32], sums: &[f32], first: usize, residual: Option<&[f32]>) {
-        let bias = &self.bias[first..][..out.len()];
-        let relu = |x: f32| if self.relu && x < 0.0 { 0.0 } else { x };
-        match residual {
-            Some(residual) => {
-                for (((out, sum), bias), r) in out.iter_mut().zip(sums).zip(bias).zip(residual) {
-                    *out = relu(sum + bias + r);
-                }
-            }
-            None => {
-                for ((out, sum), bias) in out.iter_mut().zip(sums).zip(bias) {
-                    *out = relu(sum + bias);
-                }
-            }
-        }
-    }
 }
 
 impl Convolution {
@@ -235,7 +183,7 @@ impl Kernel for Convolution {
         if self.op.bias { &[1, 2] } else { &[1] }
     }
 
-    fn tolerance(&self, inputs: &[&Value]) -> crate::Result<Option<Vec<f64>>> {
+    fn tolerance(&self, inputs: &[&Value]) -> crate::error::Result<Option<Vec<f64>>> {
         let (input, weight) = (magnitude(inputs[0])?, magnitude(inputs[1])?);
         let added: Vec<_> = inputs[2..].iter().map(|v| magnitude(v)).collect::<Result<_, _>>()?;
         let bias = if self.op.bias { added.first() } else { None };
@@ -248,7 +196,7 @@ impl Kernel for Convolution {
         Ok(Some(sums.data().iter().map(|sum| order.error(f64::from(*sum))).collect()))
     }
 
-    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::error::Result<()> {
         let input = inputs[0].f32()?;
         let residual = match self.op.residual {
             true => Some(inputs[2 + usize::from(self.op.bias)].f32()?),

@@ -19,7 +19,7 @@ pub(super) struct Resize {
 }
 
 impl Kernel for Resize {
-    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::error::Result<()> {
         let (bytes, words) = (inputs[0].bytes()?, inputs[1].u32()?);
         let words = Tensor::new([words.len()], words.to_vec())?;
         let crop = Crop::from_tensor(&words, bytes.len().div_ceil(4))?;

@@ -65,14 +65,14 @@ impl Kernel for FullyConnected {
         &[1, 2]
     }
 
-    fn tolerance(&self, inputs: &[&Value]) -> crate::Result<Option<Vec<f64>>> {
+    fn tolerance(&self, inputs: &[&Value]) -> crate::error::Result<Option<Vec<f64>>> {
         let (input, weight) = (magnitude(inputs[0])?, magnitude(inputs[1])?);
         let sums = reference::linear(&input, &weight, &magnitude(inputs[2])?, self.rows, false);
         let order = order(weight.dims()[1]).and(1);
         Ok(Some(sums.data().iter().map(|sum| order.error(f64::from(*sum))).collect()))
     }
 
-    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::error::Result<()> {
         let input = inputs[0].f32()?;
         let rows = match self.op.count {
             true => self.rows.min(inputs[3].u32()?[0] as usize),

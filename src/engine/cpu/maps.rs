@@ -16,7 +16,7 @@ pub(super) struct Gates {
 }
 
 impl Kernel for Gates {
-    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::error::Result<()> {
         let (input, gate, spatial) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);
         let run = RUN * self.channels;
         let parts = input.chunks(run).zip(spatial.chunks(RUN));
@@ -40,7 +40,7 @@ impl Kernel for Gates {
 pub(super) struct Sum;
 
 impl Kernel for Sum {
-    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::error::Result<()> {
         let weights = inputs[0].f32()?;
         let maps: Vec<&[f32]> =
             inputs[1..].iter().map(|map| map.f32()).collect::<Result<_, _>>()?;
@@ -91,7 +91,7 @@ impl Bilinear {
 }
 
 impl Kernel for Bilinear {
-    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::error::Result<()> {
         let input = inputs[0].f32()?;
         let pixel =
             |y: usize, x: usize| &input[(y * self.width + x) * self.channels..][..self.channels];
@@ -141,7 +141,7 @@ impl Kernel for SpatialGates {
         &[1, 2]
     }
 
-    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::error::Result<()> {
         let input = inputs[0].f32()?;
         let (height, width) = (self.height, self.width);
         let wide = width + 2 * REACH;

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use super::kernel::{Data, Kernel, Layout, convert};
 use super::packs::Packs;
 use super::reference::Reference;
+use super::select;
 use crate::engine::cores::Caller;
 use crate::engine::graph::{Graph, Source, StageTime, TensorId};
 use crate::engine::lock::lock;
@@ -252,7 +253,7 @@ impl CpuPlan {
     }
 
     /// The tolerance of a plan of one operation, by its kernel.
-    pub(super) fn tolerance(&self, inputs: &[&Value]) -> Result<Option<Vec<f64>>> {
+    pub(crate) fn tolerance(&self, inputs: &[&Value]) -> Result<Option<Vec<f64>>> {
         let kernels = self.steps.iter().filter_map(|step| match &step.work {
             Work::Kernel(kernel) => Some(kernel),
             Work::Convert(_) => None,
@@ -266,7 +267,7 @@ impl CpuPlan {
     }
 
     /// Gives the next run buffers full of NaN, which shows what a kernel leaves out.
-    pub(super) fn poison(&self) {
+    pub(crate) fn poison(&self) {
         lock(&self.idle).push(self.sizes.iter().map(|n| vec![f32::NAN; *n]).collect());
     }
 
@@ -317,7 +318,7 @@ impl Builder<'_> {
         let known: Vec<Option<&Constant>> = node.inputs.iter().map(constant).collect();
         let (op, outputs) = (node.op.as_ref(), &output_specs);
         let name = node.inputs.get(1).map_or("", |id| self.graph.name(*id));
-        let kernel = match super::kernel(op, &input_specs, outputs, &known, self.packs, name)? {
+        let kernel = match select::kernel(op, &input_specs, outputs, &known, self.packs, name)? {
             Some(kernel) => kernel,
             None => Box::new(Reference::new(node.op.clone(), input_specs.clone())),
         };

@@ -32,7 +32,7 @@ impl Windows {
 }
 
 impl Kernel for Windows {
-    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::error::Result<()> {
         let input = inputs[0].f32()?;
         let MaxPool2d { kernel, stride, padding } = self.op;
         let ([in_h, in_w], [_, out_w], channels) = (self.input, self.output, self.channels);
@@ -110,7 +110,7 @@ impl OverSpace {
 }
 
 impl Kernel for OverSpace {
-    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::error::Result<()> {
         let mut rest = &mut *outputs[0];
         for (map, channels) in inputs.iter().zip(&self.channels) {
             let (means, behind) = rest.split_at_mut(*channels);
@@ -145,7 +145,7 @@ impl Kernel for OverChannels {
         Layout::Planar
     }
 
-    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::error::Result<()> {
         let (input, gate) = (inputs[0].f32()?, inputs[1].f32()?);
         let (largest, means) = outputs[0].split_at_mut(self.pixels);
         let channels = self.channels;

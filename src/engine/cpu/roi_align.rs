@@ -42,7 +42,7 @@ impl Regions {
 }
 
 impl Kernel for Regions {
-    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::Result<()> {
+    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::error::Result<()> {
         let (features, boxes) = (inputs[0].f32()?, inputs[1].f32()?);
         let rois = match self.count {
             true => self.rois.min(inputs[2].u32()?[0] as usize),

@@ -8,7 +8,7 @@
 use std::array::from_fn;
 use std::sync::Arc;
 
-use super::conv2d::{Epilogue, MapShape};
+use super::epilogue::{Epilogue, MapShape};
 use super::gemm::{Panels, order, vectorised};
 use super::packs::Pack;
 use crate::engine::cores::{each, each_with, threads};

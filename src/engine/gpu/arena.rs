@@ -3,7 +3,7 @@
 use std::sync::{Mutex, MutexGuard};
 
 use crate::engine::gpu::context::Gpu;
-use crate::engine::gpu::program::Resource;
+use crate::engine::gpu::memory::Resource;
 use crate::engine::kernels::Storage;
 use crate::engine::lock::lock;
 use crate::engine::lower::lifetimes;
@@ -44,14 +44,14 @@ impl Arena {
             let fits = |place: &usize| lifetimes::union(held[*place].0, *wanted).is_some();
             let found = (0..held.len()).filter(|place| !taken[*place]).find(fits);
             let place = found.unwrap_or_else(|| {
-                held.push((*wanted, gpu.create(*wanted, guard)));
+                held.push((*wanted, gpu.device.create(*wanted, guard)));
                 taken.push(false);
                 held.len() - 1
             });
             taken[place] = true;
             let (storage, resource) = &mut held[place];
             if let Some(both) = lifetimes::union(*storage, *wanted).filter(|both| both != storage) {
-                (*storage, *resource) = (both, gpu.create(both, guard));
+                (*storage, *resource) = (both, gpu.device.create(both, guard));
             }
             resource.clone()
         };
@@ -66,7 +66,7 @@ impl Arena {
         {
             return Some(buffer.clone());
         }
-        let Resource::Buffer(buffer) = gpu.create(Storage::Buffer { bytes }, 0) else {
+        let Resource::Buffer(buffer) = gpu.device.create(Storage::Buffer { bytes }, 0) else {
             return None;
         };
         given.retain(|(of, _)| *of != at);

@@ -1,8 +1,7 @@
 //! What holds tensors on the device, and how bytes come to lie there.
 
-use crate::engine::gpu::context::Gpu;
+use crate::engine::gpu::device::Device;
 use crate::engine::gpu::faults::{Call, Fault};
-use crate::engine::gpu::program::Resource;
 use crate::engine::kernels::Storage;
 use crate::engine::lock::lock;
 use crate::engine::precision::Precision;
@@ -28,6 +27,13 @@ pub(super) fn texture_format(precision: Precision) -> wgpu::TextureFormat {
     }
 }
 
+/// What holds a tensor.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Resource {
+    Buffer(wgpu::Buffer),
+    Texture(wgpu::Texture, wgpu::TextureView),
+}
+
 /// Bytes of `width` texels of a texture of four channels.
 fn row_bytes(texture: &wgpu::Texture, width: u32) -> u32 {
     let precision = match texture.format() {
@@ -37,13 +43,13 @@ fn row_bytes(texture: &wgpu::Texture, width: u32) -> u32 {
     width * precision.texel_bytes()
 }
 
-impl Gpu {
+impl Device {
     /// Makes a buffer.
     pub(super) fn create_buffer(&self, mut desc: wgpu::BufferDescriptor) -> wgpu::Buffer {
         if self.fault(Call::Buffer) == Some(Fault::Invalid) {
             desc.usage = wgpu::BufferUsages::empty();
         }
-        self.device.create_buffer(&desc)
+        self.handle.create_buffer(&desc)
     }
 
     /// Writes to a buffer before the next submission.
@@ -87,7 +93,7 @@ impl Gpu {
         height: u32,
         precision: Precision,
     ) -> wgpu::Texture {
-        self.device.create_texture(&wgpu::TextureDescriptor {
+        self.handle.create_texture(&wgpu::TextureDescriptor {
             label: None,
             size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
             mip_level_count: 1,

@@ -3,27 +3,45 @@
 //! A [`Program`] is what a graph was lowered to, on a device: pipelines and weights, shared by all runs.
 //! A [`Slot`] is one run's worth of memory, so that several pictures can be in flight; slots of programs
 //! that take turns share an `Arena`.
+//!
+//! | file | what it holds |
+//! |---|---|
+//! | `adapter` | which adapters there are, what they give, and which is taken |
+//! | `faults`, `clock`, `deadline`, `landing` | calls that fail in tests; when and what waiting futures hear |
+//! | `poller` | waits for a device in a thread, and hears of its loss |
+//! | `device` | the open device: its queue, turns, error scopes |
+//! | `memory` | buffers and textures, and how bytes come to lie there |
+//! | `pipeline` | shaders compiled, each once a device |
+//! | `context` | [`Gpu`]: a device with its pipelines |
+//! | `poison` | what memory holds before a run, in tests |
+//! | `program` | what a graph was lowered to, on a device |
+//! | `arena` | memory that slots share |
+//! | `slot` | one run's worth of memory, and the run |
 
 mod adapter;
 mod arena;
+mod clock;
 mod context;
+mod deadline;
+mod device;
 mod faults;
 mod landing;
 mod memory;
-mod native;
 mod pipeline;
 mod poison;
+mod poller;
 mod program;
 mod slot;
 
 pub use adapter::{AdapterChoice, AdapterReport, adapters};
 pub(crate) use arena::Arena;
-pub use context::{Gpu, GpuOptions};
+pub(crate) use clock::Alarm;
+pub use context::Gpu;
+pub use deadline::Deadline;
+pub use device::GpuOptions;
 #[doc(hidden)]
 pub use faults::{Call, Fault, Faults};
-pub use landing::Deadline;
 pub(crate) use landing::add_waker;
-pub(crate) use native::Alarm;
 pub use poison::Poison;
 pub use program::{Profile, Program, ProgramOptions};
 pub use slot::{Inputs, RunOutput, Slot};

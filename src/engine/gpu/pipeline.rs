@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
-use crate::engine::gpu::context::Gpu;
+use crate::engine::gpu::device::Device;
 use crate::engine::gpu::faults::{Call, Fault};
 use crate::engine::gpu::memory::{texture_format, uneven};
 use crate::engine::kernels::{Command, Dispatch, Recording};
@@ -49,28 +49,32 @@ impl Pipelines {
     pub fn new(replacements: Vec<shader::Replacement>) -> Self {
         Self { replacements, modules: Mutex::default(), compiled: Mutex::default() }
     }
-}
 
-impl Gpu {
-    fn module(&self, shader: &'static shader::Shader, variant: &Variant) -> Result<Arc<Module>> {
+    fn module(
+        &self,
+        device: &Device,
+        shader: &'static shader::Shader,
+        variant: &Variant,
+    ) -> Result<Arc<Module>> {
         let key = (shader.stem, variant.clone());
-        let mut modules = lock(&self.pipelines.modules);
+        let mut modules = lock(&self.modules);
         if let Some(module) = modules.get(&key) {
             return Ok(module.clone());
         }
-        let reflection = shader::reflect_with(shader, variant, &self.pipelines.replacements)?;
+        let reflection = shader::reflect_with(shader, variant, &self.replacements)?;
         let desc = wgpu::ShaderModuleDescriptor {
             label: Some(shader.stem),
             source: wgpu::ShaderSource::Wgsl(reflection.text.as_str().into()),
         };
-        let module = if self.options.bounds_checks {
-            self.device.create_shader_module(desc)
+        let module = if device.options.bounds_checks {
+            device.handle.create_shader_module(desc)
         } else {
             // SAFETY: the shaders are this crate's own; each index is below the sizes in its
             // `Params`, which `record` takes from the bound tensors, every loop is bounded by
             // those sizes, and the tests run each with sentinels behind every buffer.
             unsafe {
-                self.device
+                device
+                    .handle
                     .create_shader_module_trusted(desc, wgpu::ShaderRuntimeChecks::unchecked())
             }
         };
@@ -81,8 +85,9 @@ impl Gpu {
 
     /// Compiles what the dispatches of `recording` need and is not compiled yet, on all cores, while
     /// this thread does `meanwhile`.
-    pub(super) fn compile<T>(
+    pub fn compile<T>(
         &self,
+        device: &Device,
         recording: &Recording,
         meanwhile: impl FnOnce() -> Result<T>,
     ) -> Result<T> {
@@ -93,7 +98,7 @@ impl Gpu {
                 wanted.entry(key).or_insert(dispatch);
             }
         }
-        let known = lock(&self.pipelines.compiled);
+        let known = lock(&self.compiled);
         wanted.retain(|key, _| !known.contains_key(key));
         drop(known);
         // Several entries of a module next to each other wait for it together.
@@ -102,9 +107,9 @@ impl Gpu {
         let next = AtomicUsize::new(0);
         let compile = || -> Result<()> {
             while let Some((_, dispatch)) = wanted.get(next.fetch_add(1, Ordering::Relaxed)) {
-                let pipeline = self.pipeline(dispatch)?;
-                if self.info().device_type == wgpu::DeviceType::Cpu {
-                    self.warm(&pipeline, &dispatch.params);
+                let pipeline = self.pipeline(device, dispatch)?;
+                if device.info.device_type == wgpu::DeviceType::Cpu {
+                    warm(device, &pipeline, &dispatch.params);
                 }
             }
             Ok(())
@@ -129,84 +134,29 @@ impl Gpu {
     }
 
     /// The pipeline for a dispatch, compiled on first use.
-    pub(super) fn pipeline(&self, dispatch: &Dispatch) -> Result<Arc<Pipeline>> {
+    pub fn pipeline(&self, device: &Device, dispatch: &Dispatch) -> Result<Arc<Pipeline>> {
         let shader = dispatch.shader;
         let key = (shader.stem, dispatch.variant.clone(), dispatch.entry);
-        let known = |key: &PipelineKey| lock(&self.pipelines.compiled).get(key).cloned();
+        let known = |key: &PipelineKey| lock(&self.compiled).get(key).cloned();
         if let Some(pipeline) = known(&key) {
             return Ok(pipeline);
         }
         let label = format!("{}::{} {}", shader.stem, dispatch.entry, dispatch.variant);
         let label = label.trim_end();
         // What the driver objects to is told to the thread that asked, and kept for nobody.
-        let build = || self.build_pipeline(dispatch, label);
-        let built = pollster::block_on(self.scoped(&format!("compiling {label}"), build));
+        let build = || self.build(device, dispatch, label);
+        let built = pollster::block_on(device.scoped(&format!("compiling {label}"), build));
         let pipeline = built.inspect_err(|_| {
             let key = (shader.stem, dispatch.variant.clone());
-            lock(&self.pipelines.modules).remove(&key);
+            lock(&self.modules).remove(&key);
         })?;
-        let mut pipelines = lock(&self.pipelines.compiled);
+        let mut pipelines = lock(&self.compiled);
         Ok(pipelines.entry(key).or_insert(Arc::new(pipeline)).clone())
     }
 
-    /// Runs no workgroups of a pipeline: lavapipe makes machine code at the first dispatch, one pipeline
-    /// after the other, and so it does while weights are read. What goes wrong is told by the first run.
-    fn warm(&self, pipeline: &Pipeline, params: &[u8]) {
-        let buffer = |usage| {
-            self.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("warm"),
-                size: WARM_BYTES.max(params.len() as u64).next_multiple_of(4),
-                usage: usage | wgpu::BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            })
-        };
-        self.unheard(|| {
-            let views = [Precision::F32, Precision::F16].map(|precision| {
-                let texture = self.create_texture(uneven(1), uneven(1), precision);
-                texture.create_view(&Default::default())
-            });
-            let uniform = buffer(wgpu::BufferUsages::UNIFORM);
-            let bindings = pipeline.bindings.iter();
-            let buffers: Vec<_> = bindings.map(|_| buffer(wgpu::BufferUsages::STORAGE)).collect();
-            let entry = |((_, binding, kind), buffer): (&(String, u32, BindingKind), _)| {
-                let buffer: &wgpu::Buffer = buffer;
-                wgpu::BindGroupEntry {
-                    binding: *binding,
-                    resource: match kind {
-                        BindingKind::Texture(precision) => {
-                            let view = &views[usize::from(precision.is_half())];
-                            wgpu::BindingResource::TextureView(view)
-                        }
-                        BindingKind::Uniform => uniform.as_entire_binding(),
-                        BindingKind::Read | BindingKind::ReadWrite => buffer.as_entire_binding(),
-                    },
-                }
-            };
-            let entries: Vec<_> = pipeline.bindings.iter().zip(&buffers).map(entry).collect();
-            let group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("warm"),
-                layout: &pipeline.layout,
-                entries: &entries,
-            });
-            let mut encoder = self.device.create_command_encoder(&Default::default());
-            let mut pass = encoder.begin_compute_pass(&Default::default());
-            pass.set_pipeline(&pipeline.pipeline);
-            pass.set_bind_group(0, &group, &[]);
-            pass.dispatch_workgroups(0, 0, 0);
-            drop(pass);
-            // One at a time: weights are uploaded between them.
-            {
-                let _turn = self.turn();
-                self.queue.write_buffer(&uniform, 0, params);
-                self.queue.submit([encoder.finish()]);
-            }
-            self.wait();
-        });
-    }
-
-    fn build_pipeline(&self, dispatch: &Dispatch, label: &str) -> Result<Pipeline> {
+    fn build(&self, device: &Device, dispatch: &Dispatch, label: &str) -> Result<Pipeline> {
         let shader = dispatch.shader;
-        let module = self.module(shader, &dispatch.variant)?;
+        let module = self.module(device, shader, &dispatch.variant)?;
         let entry = module.reflection.entries.iter().find(|e| e.name == dispatch.entry);
         let entry = entry.ok_or_else(|| Error::Shader {
             file: format!("{}.wgsl", shader.stem),
@@ -241,17 +191,18 @@ impl Gpu {
                 count: None,
             })
             .collect();
-        let layout = self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        let layout = device.handle.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some(label),
             entries: &layout_entries,
         });
-        let pipeline_layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some(label),
-            bind_group_layouts: &[Some(&layout)],
-            immediate_size: 0,
-        });
-        let refused = self.fault(Call::Pipeline) == Some(Fault::Invalid);
-        let pipeline = self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        let pipeline_layout =
+            device.handle.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+                label: Some(label),
+                bind_group_layouts: &[Some(&layout)],
+                immediate_size: 0,
+            });
+        let refused = device.fault(Call::Pipeline) == Some(Fault::Invalid);
+        let pipeline = device.handle.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(label),
             layout: Some(&pipeline_layout),
             module: &module.module,
@@ -268,4 +219,59 @@ impl Gpu {
         let reads_grid = entry.reads_grid;
         Ok(Pipeline { label: label.to_owned(), pipeline, layout, bindings, reads_grid })
     }
+}
+
+/// Runs no workgroups of a pipeline: lavapipe makes machine code at the first dispatch, one pipeline
+/// after the other, and so it does while weights are read. What goes wrong is told by the first run.
+fn warm(device: &Device, pipeline: &Pipeline, params: &[u8]) {
+    let buffer = |usage| {
+        device.handle.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("warm"),
+            size: WARM_BYTES.max(params.len() as u64).next_multiple_of(4),
+            usage: usage | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        })
+    };
+    device.unheard(|| {
+        let views = [Precision::F32, Precision::F16].map(|precision| {
+            let texture = device.create_texture(uneven(1), uneven(1), precision);
+            texture.create_view(&Default::default())
+        });
+        let uniform = buffer(wgpu::BufferUsages::UNIFORM);
+        let bindings = pipeline.bindings.iter();
+        let buffers: Vec<_> = bindings.map(|_| buffer(wgpu::BufferUsages::STORAGE)).collect();
+        let entry = |((_, binding, kind), buffer): (&(String, u32, BindingKind), _)| {
+            let buffer: &wgpu::Buffer = buffer;
+            wgpu::BindGroupEntry {
+                binding: *binding,
+                resource: match kind {
+                    BindingKind::Texture(precision) => {
+                        let view = &views[usize::from(precision.is_half())];
+                        wgpu::BindingResource::TextureView(view)
+                    }
+                    BindingKind::Uniform => uniform.as_entire_binding(),
+                    BindingKind::Read | BindingKind::ReadWrite => buffer.as_entire_binding(),
+                },
+            }
+        };
+        let entries: Vec<_> = pipeline.bindings.iter().zip(&buffers).map(entry).collect();
+        let group = device.handle.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("warm"),
+            layout: &pipeline.layout,
+            entries: &entries,
+        });
+        let mut encoder = device.handle.create_command_encoder(&Default::default());
+        let mut pass = encoder.begin_compute_pass(&Default::default());
+        pass.set_pipeline(&pipeline.pipeline);
+        pass.set_bind_group(0, &group, &[]);
+        pass.dispatch_workgroups(0, 0, 0);
+        drop(pass);
+        // One at a time: weights are uploaded between them.
+        {
+            let _turn = device.turn();
+            device.queue.write_buffer(&uniform, 0, params);
+            device.queue.submit([encoder.finish()]);
+        }
+        device.wait();
+    });
 }

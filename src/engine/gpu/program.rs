@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use crate::engine::gpu::context::Gpu;
+use crate::engine::gpu::memory::Resource;
 use crate::engine::gpu::pipeline::Pipeline;
 use crate::engine::graph::TensorId;
 use crate::engine::kernels::{
@@ -47,13 +48,6 @@ impl Default for ProgramOptions {
     fn default() -> Self {
         Self { reuse: true, guard: false, profile: Profile::Stages }
     }
-}
-
-/// What holds a tensor.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Resource {
-    Buffer(wgpu::Buffer),
-    Texture(wgpu::Texture, wgpu::TextureView),
 }
 
 /// Where a tensor lies.
@@ -173,9 +167,9 @@ impl Program {
         options: ProgramOptions,
     ) -> Result<Self> {
         let build = || Self::build(gpu, lowered, like, options);
-        let program = gpu.scoped("building the program", build).await?;
+        let program = gpu.device.scoped("building the program", build).await?;
         // A lost device objects to nothing.
-        gpu.check_alive()?;
+        gpu.device.check_alive()?;
         Ok(program)
     }
 
@@ -186,7 +180,7 @@ impl Program {
         options: ProgramOptions,
     ) -> Result<Self> {
         let recording = &lowered.recording;
-        let limits = gpu.device.limits();
+        let limits = gpu.device.handle.limits();
         check_sizes(recording, &limits)?;
         let assignment = lifetimes::assign(recording, options.reuse && !options.guard);
         let mut program = Self {
@@ -208,7 +202,8 @@ impl Program {
             stored: lowered.places.keys().map(|id| (*id, lowered.stored(*id))).collect(),
             shared: HashMap::new(),
         };
-        gpu.compile(recording, || program.put(recording, &assignment, like))?;
+        gpu.pipelines
+            .compile(&gpu.device, recording, || program.put(recording, &assignment, like))?;
         // The weights are on the device: nobody needs how to make them any more.
         for info in &mut program.tensors {
             if let Role::Constant(_) = info.role {
@@ -274,9 +269,9 @@ impl Program {
             Some(shared) => shared,
             None => {
                 let value = constant.get()?;
-                let resource = self.gpu.create(info.storage, self.guard());
+                let resource = self.gpu.device.create(info.storage, self.guard());
                 match &resource {
-                    Resource::Buffer(buffer) => self.gpu.upload(buffer, value.bytes()),
+                    Resource::Buffer(buffer) => self.gpu.device.upload(buffer, value.bytes()),
                     Resource::Texture(texture, _) => {
                         let width = match info.storage {
                             Storage::Texture { width, .. } => width,
@@ -286,7 +281,7 @@ impl Program {
                             Precision::F32 => Cow::from(value.bytes()),
                             precision => precision.encode(value.f32()?.data()).into(),
                         };
-                        self.gpu.upload_texture(texture, width, &bytes);
+                        self.gpu.device.upload_texture(texture, width, &bytes);
                     }
                 }
                 resource
@@ -318,7 +313,7 @@ impl Program {
                 return Ok(());
             }
         };
-        let pipeline = self.gpu.pipeline(dispatch)?;
+        let pipeline = self.gpu.pipelines.pipeline(&self.gpu.device, dispatch)?;
         let mut bound = Vec::new();
         let mut uniform = None;
         let (params, bytes) = (*offset, dispatch.params.len() as u64);
@@ -450,14 +445,14 @@ fn uniforms(gpu: &Gpu, recording: &Recording) -> wgpu::Buffer {
         bytes.extend_from_slice(&dispatch.params);
         bytes.resize(bytes.len().next_multiple_of(UNIFORM_ALIGN), 0);
     }
-    let buffer = gpu.create_buffer(wgpu::BufferDescriptor {
+    let buffer = gpu.device.create_buffer(wgpu::BufferDescriptor {
         label: Some("params"),
         size: (bytes.len() as u64).max(4),
         usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
         mapped_at_creation: false,
     });
     if !bytes.is_empty() {
-        gpu.write(&buffer, 0, &bytes);
+        gpu.device.write(&buffer, 0, &bytes);
     }
     buffer
 }

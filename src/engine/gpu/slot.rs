@@ -7,11 +7,13 @@ use std::time::{Duration, Instant};
 
 use crate::engine::gpu::arena::Arena;
 use crate::engine::gpu::context::Gpu;
+use crate::engine::gpu::deadline::Deadline;
 use crate::engine::gpu::faults::{Call, Fault};
-use crate::engine::gpu::landing::{Deadline, Landing};
+use crate::engine::gpu::landing::Landing;
+use crate::engine::gpu::memory::Resource;
 use crate::engine::gpu::poison::Poison;
 use crate::engine::gpu::program::{
-    GUARD_BYTES, Place, Profile, Program, ProgramOptions, Resource, Step, StepGrid,
+    GUARD_BYTES, Place, Profile, Program, ProgramOptions, Step, StepGrid,
 };
 use crate::engine::graph::{Graph, StageTime, TensorId};
 use crate::engine::kernels::{Layout, Quads, Role, Storage};
@@ -89,10 +91,10 @@ impl Slot {
     pub(crate) async fn sharing(program: &Arc<Program>, arena: &Arc<Arena>) -> Result<Self> {
         let gpu = program.gpu.clone();
         let build = || Ok(Self::build(program, arena));
-        let slot = gpu.scoped("allocating memory for a picture", build).await;
+        let slot = gpu.device.scoped("allocating memory for a picture", build).await;
         let slot = slot.inspect_err(|_| arena.clear())?;
         // A lost device objects to nothing.
-        gpu.check_alive()?;
+        gpu.device.check_alive()?;
         Ok(slot)
     }
 
@@ -126,12 +128,12 @@ impl Slot {
         let mut staging_bytes = program.staging_bytes;
         let timestamps = (timed > 0 && gpu.has_timestamps()).then(|| {
             let count = timed as u32 * 2;
-            let set = gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
+            let set = gpu.device.handle.create_query_set(&wgpu::QuerySetDescriptor {
                 label: None,
                 ty: wgpu::QueryType::Timestamp,
                 count,
             });
-            let resolve = gpu.create_buffer(wgpu::BufferDescriptor {
+            let resolve = gpu.device.create_buffer(wgpu::BufferDescriptor {
                 label: None,
                 size: u64::from(count) * 8,
                 usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
@@ -203,7 +205,7 @@ impl Slot {
     /// [`Error::Timeout`] if it does not end in time, [`Error::DeviceLost`].
     pub async fn recover(&mut self, deadline: Deadline) -> Result<()> {
         if let Some(landing) = &self.in_flight {
-            match landing.wait(&self.program.gpu, deadline, "an earlier picture").await {
+            match self.program.gpu.device.wait_for(landing, deadline, "an earlier picture").await {
                 Ok(()) => self.unmap(),
                 // What became of that run concerns nobody.
                 Err(Error::Driver { .. }) => self.give_staging_up(),
@@ -224,7 +226,7 @@ impl Slot {
         let start = Instant::now();
         let program = self.program.clone();
         let gpu = &program.gpu;
-        gpu.check_lost()?;
+        gpu.device.check_lost()?;
         if self.in_flight.is_some() {
             return Err(Error::tensor("run", "slot", "one without a run", "a run under way"));
         }
@@ -235,7 +237,7 @@ impl Slot {
         for inputs in pictures {
             self.check(inputs)?;
         }
-        let landing = pollster::block_on(gpu.scoped("running the network", || {
+        let landing = pollster::block_on(gpu.device.scoped("running the network", || {
             self.settle();
             self.fill();
             for (picture, inputs) in (0..program.batch).zip(pictures.iter().cycle()) {
@@ -246,8 +248,8 @@ impl Slot {
             self.bind();
             let bytes = self.staging_bytes;
             let staging = self.staging.get_or_insert_with(|| staging(gpu, bytes)).clone();
-            let submission = gpu.submit(Some(self.encode(&staging)));
-            Ok(Landing::new(gpu, &staging, bytes, submission, start))
+            let submission = gpu.device.submit(Some(self.encode(&staging)));
+            Ok(gpu.device.land(&staging, bytes, submission, start))
         }));
         self.in_flight = Some(landing.inspect_err(|_| self.forget())?);
         Ok(())
@@ -276,7 +278,7 @@ impl Slot {
     /// failed, has been told already.
     fn unmap(&self) {
         if let Some(staging) = &self.staging {
-            self.program.gpu.unheard(|| staging.unmap());
+            self.program.gpu.device.unheard(|| staging.unmap());
         }
     }
 
@@ -316,7 +318,7 @@ impl Slot {
             Some(place) => {
                 if let Some(Resource::Buffer(buffer)) = self.resource(place, picture) {
                     let offset = u64::from(picture) * program.tensors[id.0].stride;
-                    program.gpu.write(&buffer, offset, value.bytes());
+                    program.gpu.device.write(&buffer, offset, value.bytes());
                 }
             }
             // Nothing reads it.
@@ -340,11 +342,11 @@ impl Slot {
                 }
             }
         }
-        gpu.write(&buffer, 0, value.bytes());
+        gpu.device.write(&buffer, 0, value.bytes());
         if guard > 0 {
             let words = (bytes / 4..buffer.size() / 4).map(|at| at as usize);
             let poison: Vec<u32> = words.map(|at| self.poison.word(id, at)).collect();
-            gpu.write(&buffer, bytes, bytemuck::cast_slice(&poison));
+            gpu.device.write(&buffer, bytes, bytemuck::cast_slice(&poison));
         }
     }
 
@@ -365,13 +367,13 @@ impl Slot {
                     let first = if matches!(place, Place::Fixed(_)) { guard } else { 0 };
                     let words = (first / 4) as usize..(buffer.size() / 4) as usize;
                     let poison: Vec<u32> = words.map(word).collect();
-                    gpu.write(&buffer, first, bytemuck::cast_slice(&poison));
+                    gpu.device.write(&buffer, first, bytemuck::cast_slice(&poison));
                 }
                 (_, Some(Resource::Texture(texture, _))) => {
                     let texels = texture.width() as usize * texture.height() as usize;
                     let bytes = texels * info.precision.texel_bytes() as usize;
                     let poison: Vec<u32> = (0..bytes / 4).map(word).collect();
-                    gpu.write_texture(&texture, bytemuck::cast_slice(&poison));
+                    gpu.device.write_texture(&texture, bytemuck::cast_slice(&poison));
                 }
             }
         }
@@ -424,10 +426,10 @@ impl Slot {
                     }),
                 });
             }
-            if program.gpu.fault(Call::BindGroup) == Some(Fault::Invalid) {
+            if program.gpu.device.fault(Call::BindGroup) == Some(Fault::Invalid) {
                 entries.clear();
             }
-            let group = program.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            let group = program.gpu.device.handle.create_bind_group(&wgpu::BindGroupDescriptor {
                 label: Some(&pipeline.label),
                 layout: &pipeline.layout,
                 entries: &entries,
@@ -438,7 +440,7 @@ impl Slot {
 
     fn encode(&self, staging: &wgpu::Buffer) -> wgpu::CommandBuffer {
         let program = &self.program;
-        let mut encoder = program.gpu.device.create_command_encoder(&Default::default());
+        let mut encoder = program.gpu.device.handle.create_command_encoder(&Default::default());
         for (index, (_, range)) in program.stages.iter().enumerate() {
             // Passes end at copies, and where each command is timed.
             let apart = program.options.profile == Profile::Commands;
@@ -567,7 +569,7 @@ impl Slot {
         // Until the wait is over the run is under way, also for who gives this future up.
         let landing = self.in_flight.clone().ok_or_else(none)?;
         let gpu = self.program.gpu.clone();
-        if let Err(e) = landing.wait(&gpu, deadline, "the network").await {
+        if let Err(e) = gpu.device.wait_for(&landing, deadline, "the network").await {
             if !matches!(e, Error::Timeout { .. }) {
                 self.in_flight = None;
                 self.give_staging_up();
@@ -580,7 +582,7 @@ impl Slot {
             Err(Error::Driver { .. }) => {
                 self.give_staging_up();
                 // A device may be lost after the map.
-                gpu.check_alive()?;
+                gpu.device.check_alive()?;
             }
             _ => self.unmap(),
         }
@@ -651,7 +653,7 @@ impl Slot {
         let start = t.offset as usize;
         let ticks: Vec<u64> =
             bytemuck::pod_collect_to_vec(&bytes[start..start + t.resolve.size() as usize]);
-        let period = f64::from(gpu.queue.get_timestamp_period());
+        let period = f64::from(gpu.device.queue.get_timestamp_period());
         let names: Vec<String> = match self.program.options.profile {
             Profile::Commands => self.program.steps.iter().map(Step::name).collect(),
             _ => self.program.stages.iter().map(|(name, _)| name.clone()).collect(),
@@ -668,7 +670,7 @@ impl Slot {
 }
 
 fn staging(gpu: &Gpu, bytes: u64) -> wgpu::Buffer {
-    gpu.create_buffer(wgpu::BufferDescriptor {
+    gpu.device.create_buffer(wgpu::BufferDescriptor {
         label: Some("staging"),
         size: bytes,
         usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,

@@ -2,64 +2,13 @@
 //!
 //! Tests run these, and so may anyone who replaces a shader or brings a new driver.
 
-use std::sync::Arc;
-
 use rand::{RngExt, SeedableRng};
 
-use crate::engine::ops::op::{Op, Tolerance};
+pub use crate::engine::ops::op::Case;
+use crate::engine::ops::op::Tolerance;
 use crate::engine::shape::Shape;
 use crate::engine::tensor::{Tensor, Value};
 use crate::error::Result;
-
-/// One input for one operation.
-#[derive(Debug)]
-pub struct Case {
-    /// What is special about it.
-    pub name: String,
-    /// The operation with its parameters.
-    pub op: Arc<dyn Op>,
-    /// Input tensors in the operation's order.
-    pub inputs: Vec<Value>,
-    /// The outputs, computed by hand from the definition; `None` to trust the reference.
-    pub by_hand: Option<Vec<Value>>,
-    /// Whether every step of it is exact in f32, so that all outputs must be equal to the bit.
-    pub exact: bool,
-    /// Whether it has a size of the network, and inputs that f16 cannot hold: rounding any of them
-    /// to f16 must fail.
-    pub network: bool,
-}
-
-impl Case {
-    /// A case that is compared with the CPU reference.
-    pub fn new(name: impl Into<String>, op: impl Op + 'static, inputs: Vec<Value>) -> Self {
-        Self {
-            name: name.into(),
-            op: Arc::new(op),
-            inputs,
-            by_hand: None,
-            exact: false,
-            network: false,
-        }
-    }
-
-    /// The same with outputs computed by hand, to which the reference is held too.
-    pub fn by_hand(mut self, outputs: Vec<Value>) -> Self {
-        self.by_hand = Some(outputs);
-        self
-    }
-
-    /// The same without a bound: nothing in it rounds.
-    pub fn exact(mut self) -> Self {
-        self.exact = true;
-        self
-    }
-
-    /// The same as a case of the network's size whose inputs f16 cannot hold.
-    pub fn in_network(mut self) -> Self {
-        self.network = true;
-        self
-    }
-}
 
 /// What a check measured.
 #[derive(Clone, Debug, Default)]

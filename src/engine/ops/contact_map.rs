@@ -28,7 +28,7 @@ pub static ENTRY: Entry = Entry {
 /// Inputs: `cells [3, H, W]`, the frame with a cell for each half millimetre of gel, in levels from 0 to
 /// 255; `reference`, the same of a frame without contact, if `reference`. Output: `output u32
 /// [⌈T/32⌉]`, a bit for each of the T tiles of 2 × 2 cells, row by row from the lowest bit on, set where
-/// one of its cells is touched: see [`reference::contact`].
+/// one of its cells is touched: see [`reference::contact_map`].
 #[derive(Clone, Copy, Debug)]
 pub struct ContactMap {
     /// Share of the brightness by which an untouched tile may differ at least.

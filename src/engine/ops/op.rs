@@ -2,8 +2,8 @@
 
 use std::any::Any;
 use std::fmt::Debug;
+use std::sync::Arc;
 
-use crate::engine::ops::case::Case;
 use crate::engine::ops::params::{Param, Params, Settings};
 use crate::engine::precision::Precision;
 use crate::engine::shape::TensorSpec;
@@ -276,6 +276,56 @@ pub fn map_dims(op: &str, tensor: &str, spec: &TensorSpec) -> Result<[usize; 3]>
         return Err(Error::tensor(op, tensor, "[C, H, W] without a zero", spec));
     }
     Ok(got)
+}
+
+/// One input for one operation.
+#[derive(Debug)]
+pub struct Case {
+    /// What is special about it.
+    pub name: String,
+    /// The operation with its parameters.
+    pub op: Arc<dyn Op>,
+    /// Input tensors in the operation's order.
+    pub inputs: Vec<Value>,
+    /// The outputs, computed by hand from the definition; `None` to trust the reference.
+    pub by_hand: Option<Vec<Value>>,
+    /// Whether every step of it is exact in f32, so that all outputs must be equal to the bit.
+    pub exact: bool,
+    /// Whether it has a size of the network, and inputs that f16 cannot hold: rounding any of them
+    /// to f16 must fail.
+    pub network: bool,
+}
+
+impl Case {
+    /// A case that is compared with the CPU reference.
+    pub fn new(name: impl Into<String>, op: impl Op + 'static, inputs: Vec<Value>) -> Self {
+        Self {
+            name: name.into(),
+            op: Arc::new(op),
+            inputs,
+            by_hand: None,
+            exact: false,
+            network: false,
+        }
+    }
+
+    /// The same with outputs computed by hand, to which the reference is held too.
+    pub fn by_hand(mut self, outputs: Vec<Value>) -> Self {
+        self.by_hand = Some(outputs);
+        self
+    }
+
+    /// The same without a bound: nothing in it rounds.
+    pub fn exact(mut self) -> Self {
+        self.exact = true;
+        self
+    }
+
+    /// The same as a case of the network's size whose inputs f16 cannot hold.
+    pub fn in_network(mut self) -> Self {
+        self.network = true;
+        self
+    }
 }
 
 #[cfg(test)]

@@ -27,10 +27,11 @@
 //! | `image` | [`GpuDetector::detect`], which takes the pictures of the crate [`image`] |
 //! | `picture` | [`picture`]: pictures from PNG, JPEG, BMP and TIFF files; with `image` |
 //! | `cpu` | [`Device::Cpu`]: the network on this machine's cores, by [`engine::cpu`] |
+//! | `embedded-weights` (default) | the small network is part of the program: [`smr::catalog`] |
 //! | `serde` | [`Detections`] and what is in them can be serialised |
 //! | `eval` | [`evaluation`]: labelled pictures, and how well a detector does on them |
 //! | `simulator` | [`simulator`]: the simulated sensor; with `picture` |
-//! | `cli` (default) | the program `smr-gpu`; with all of the others |
+//! | `cli` (default) | the program `smr-gpu`; with all of the others but `embedded-weights` |
 //!
 //! # Architecture
 //! From what all else uses to what uses all else:
@@ -70,15 +71,14 @@ pub mod simulator;
 pub mod smr;
 pub mod verify;
 
-pub use detector::{
-    CachingDetector, Config, Detection, Detections, Device, GpuDetector, Savings, WeightSource,
-};
+pub use detector::{CachingDetector, Config, Detection, Detections, Device, GpuDetector, Savings};
 pub use engine::precision::Precision;
 pub use error::{Error, Result};
 /// The crate whose pictures [`GpuDetector::detect`] takes.
 #[cfg(feature = "image")]
 pub use image;
 pub use sensor::{Frame, Gel, Origin, PixelFormat, Rect, Scale, Sensor};
+pub use smr::WeightSource;
 
 /// The README's example runs as a test.
 #[cfg(all(doctest, feature = "picture"))]

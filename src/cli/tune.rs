@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use etcetera::BaseStrategy;
 use indicatif::{ProgressBar, ProgressStyle};
 use smr_gpu::engine::tuned::{Place, Tuned};
 use smr_gpu::files::Outputs;
@@ -84,16 +85,9 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
 
 /// Where the choices are kept.
 pub(super) fn folder() -> Option<PathBuf> {
-    let variable = |name| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
-    if let Some(folder) = variable(FOLDER_VARIABLE) {
-        return Some(folder);
+    if let Some(folder) = std::env::var_os(FOLDER_VARIABLE).filter(|v| !v.is_empty()) {
+        return Some(folder.into());
     }
-    let caches = if cfg!(windows) {
-        variable("LOCALAPPDATA")
-    } else if cfg!(target_os = "macos") {
-        std::env::home_dir().map(|home| home.join("Library/Caches"))
-    } else {
-        variable("XDG_CACHE_HOME").or_else(|| Some(std::env::home_dir()?.join(".cache")))
-    };
-    caches.map(|folder| folder.join("smr-gpu"))
+    let user = etcetera::base_strategy::choose_native_strategy().ok()?;
+    Some(user.cache_dir().join("smr-gpu"))
 }

@@ -93,6 +93,17 @@ pub enum Error {
         /// What is wrong, with the tensor's name where one is to blame.
         message: String,
     },
+    /// No weights have the name that was asked for.
+    #[error(
+        "weights: expected `{name}` in one of {}; got none; `smr-gpu weights add FILE --name {name}` adds it",
+        listed(.searched)
+    )]
+    NoWeights {
+        /// The name.
+        name: String,
+        /// The files that could have been it, the nearest first.
+        searched: Vec<PathBuf>,
+    },
     /// A sensor file is damaged, or a frame cannot be the sensor's.
     #[error("sensor `{sensor}`: {message}")]
     Sensor {
@@ -151,6 +162,11 @@ pub enum Error {
 
 /// Result with the library's [`enum@Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+fn listed(paths: &[PathBuf]) -> String {
+    let paths: Vec<_> = paths.iter().map(|path| path.display().to_string()).collect();
+    paths.join(", ")
+}
 
 impl Error {
     /// An [`Error::Tensor`] from anything that prints.

@@ -6,7 +6,7 @@
 //! // Once: loads the weights, opens the device, compiles the shaders.
 //! let detector = GpuDetector::new(Config {
 //!     sensor: Sensor::named("gelsight-mini"),
-//!     ..Config::new("weights/smrnet-s.safetensors")
+//!     ..Config::find("small")?
 //! })?;
 //! // For each frame of a camera: its bytes, as they are.
 //! let bytes = vec![0; 3280 * 2464 * 3];
@@ -39,10 +39,11 @@
 //! | `image` | [`GpuDetector::detect`] takes the pictures of the crate [`image`] |
 //! | `picture` | [`picture`]: pictures from untrusted PNG, JPEG, BMP and TIFF files; with `image` |
 //! | `cpu` | [`Device::Cpu`]: the network on this machine's cores |
+//! | `embedded-weights` (default) | the small network is part of the program: [`Config::find`] |
 //! | `serde` | [`Detections`] and what is in them can be serialised |
 //! | `eval` | labelled pictures, and how well a detector does on them |
 //! | `simulator` | the simulated sensor; with `picture` |
-//! | `cli` (default) | the program `smr-gpu`; with all of the others |
+//! | `cli` (default) | the program `smr-gpu`; with all of the others but `embedded-weights` |
 //!
 //! # Architecture
 //! The crate implements SMR-Net (Hou, "SMR-Net: Robot Snap Detection Based on Multi-Scale Features and
@@ -97,9 +98,7 @@ pub mod smr;
 #[doc(hidden)]
 pub mod verify;
 
-pub use detector::{
-    CachingDetector, Config, Detection, Detections, Device, GpuDetector, Savings, WeightSource,
-};
+pub use detector::{CachingDetector, Config, Detection, Detections, Device, GpuDetector, Savings};
 pub use engine::gpu::AdapterChoice;
 pub use engine::precision::Precision;
 pub use error::{Error, Result};
@@ -107,6 +106,7 @@ pub use error::{Error, Result};
 #[cfg(feature = "image")]
 pub use image;
 pub use sensor::{Frame, Gel, Origin, PixelFormat, Rect, Scale, Sensor};
+pub use smr::WeightSource;
 
 /// Unstable: what the program, its tests and people who work on the engine use. It may change with any
 /// version.

@@ -209,24 +209,6 @@ fn a_picture_that_shows_too_much_for_the_weights_ends_no_other() {
 }
 
 #[test]
-fn weights_are_looked_for_where_the_readme_says() {
-    let folder = folder();
-    ramp(8, 8).save(folder.path().join("x.png")).expect("saved");
-    let missing = folder.path().join("missing.safetensors");
-    let output =
-        command(folder.path()).args(["detect", "x.png"]).env("SMR_GPU_WEIGHTS", &missing).output();
-    Ran::from(output.expect("the program runs")).expect(3).tells("missing.safetensors");
-    fs::create_dir(folder.path().join("weights")).expect("created");
-    fs::write(folder.path().join("weights/smrnet.safetensors"), "junk").expect("written");
-    let unset = |change: fn(&mut Command) -> &mut Command| {
-        let output = change(command(folder.path()).args(["detect", "x.png"])).output();
-        Ran::from(output.expect("the program runs")).expect(3).tells("weights/smrnet.safetensors");
-    };
-    unset(|command| command.env_remove("SMR_GPU_WEIGHTS"));
-    unset(|command| command.env("SMR_GPU_WEIGHTS", ""));
-}
-
-#[test]
 fn missing_devices_are_named() {
     let folder = folder();
     ramp(8, 8).save(folder.path().join("x.png")).expect("saved");

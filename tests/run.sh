@@ -70,7 +70,7 @@ features() {
     local feature
     # None, with the tests that need none.
     cargo clippy --locked --release --all-targets --no-default-features -- -D warnings
-    for feature in image picture cpu serde eval simulator; do
+    for feature in image picture cpu embedded-weights serde eval simulator; do
         cargo clippy --locked --release --lib --no-default-features --features "$feature" \
             -- -D warnings
     done
@@ -83,6 +83,16 @@ crates() {
     [ "$found" -le "$most_crates" ]
 }
 
+# What crates.io takes, in bytes.
+most_packed=10000000
+package() {
+    local size
+    cargo package --locked --quiet --no-verify --allow-dirty
+    size=$(cat target/package/smr-gpu-*.crate | wc -c)
+    echo "$size bytes packed, at most $most_packed"
+    [ "$size" -le "$most_packed" ]
+}
+
 step format cargo fmt --check
 # With what the tests need, so that nothing is built twice; the program is built with them.
 step build cargo test --locked --release --tests --no-run
@@ -90,6 +100,7 @@ step adapter have_adapter
 step clippy cargo clippy --locked --release --all-targets -- -D warnings
 step features features
 step crates crates
+step package package
 RUSTDOCFLAGS="-D warnings" step docs cargo doc --locked --release --no-deps
 if command -v cargo-deny >/dev/null; then
     step deny cargo deny --locked check bans licenses sources

@@ -28,7 +28,7 @@ use smr_gpu::simulator::optics::{
 use smr_gpu::simulator::options::Drive;
 use smr_gpu::simulator::raster::{FIELD_MM, Raster};
 use smr_gpu::simulator::render::{GRID, Rendered, Renderer, Request, STOP, contact_grid};
-use smr_gpu::simulator::scene::{Body, Mix, Placed, Scene};
+use smr_gpu::simulator::scene::{Body, Mix, Placed, Scene, scene_seed};
 use smr_gpu::simulator::shadow::{Ray, cast};
 use smr_gpu::simulator::smooth;
 use smr_gpu::simulator::snaps::{Kind, Snap, Stud};

@@ -11,9 +11,8 @@ use smr_gpu::engine::gpu::{AdapterChoice, Gpu, GpuOptions, ProgramOptions, Slot}
 use smr_gpu::engine::lower::KernelChoice;
 use smr_gpu::engine::ops::Crop;
 use smr_gpu::engine::tensor::{Tensor, Value};
-use smr_gpu::simulator::dataset;
 use smr_gpu::simulator::render::{Renderer, Request};
-use smr_gpu::simulator::scene::Mix;
+use smr_gpu::simulator::scene::{Mix, scene_seed};
 use smr_gpu::smr::{ModelConfig, Network, Variant, Wanted, Weights};
 use smr_gpu::verify;
 use smr_gpu::verify::comparison::relative_l2;
@@ -227,8 +226,8 @@ fn where_scores_are_equal_in_f32_their_logits_decide() {
 /// one side alone and every later row moves.
 #[test]
 fn a_choice_by_rounding_is_no_failure() {
-    let savings = dataset::scene_seed(2004, 5);
-    let rendered = Renderer::new().render(savings, &Request::plain(Mix::None)).expect("a picture");
+    let scene = scene_seed(2004, 5);
+    let rendered = Renderer::new().render(scene, &Request::plain(Mix::None)).expect("a picture");
     let picture = DynamicImage::from(rendered.picture);
     let comparison = verify::compare(
         &detector(Device::Gpu(AdapterChoice::Auto), |_| ()),

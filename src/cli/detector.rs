@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use smr_gpu::engine::gpu::{AdapterChoice, Gpu, GpuOptions};
 use smr_gpu::files::Outputs;
-use smr_gpu::smr::ModelConfig;
+use smr_gpu::smr::{Catalog, ModelConfig};
 use smr_gpu::{
     Config, Detections, Device, Error, Gel, GpuDetector, Origin, Precision, Savings, Scale, Sensor,
     WeightSource,
@@ -20,12 +20,6 @@ use super::folders;
 use super::message::tell;
 use super::probe;
 use super::source::Source;
-
-/// The weight files by name, relative to the folders in which they are looked for.
-const WEIGHTS: [(&str, &str); 2] =
-    [("large", "weights/smrnet.safetensors"), ("small", "weights/smrnet-s.safetensors")];
-/// Names a weight file where `--weights` does not.
-const WEIGHTS_VARIABLE: &str = "SMR_GPU_WEIGHTS";
 
 /// What runs a command.
 #[derive(Debug, clap::Args)]
@@ -51,10 +45,9 @@ pub(super) struct AdapterArgs {
 /// Which network finds snaps, and in what pictures.
 #[derive(Debug, clap::Args)]
 pub(super) struct NetworkArgs {
-    /// `large`, the paper's network; `small`, with an eighth of its multiply-adds; or a weight file
-    /// [default: $SMR_GPU_WEIGHTS, else `large`]. The named ones are looked for in this folder, then
-    /// beside the program.
-    #[arg(long, value_name = "large|small|FILE")]
+    /// `large`, the paper's network; `small`, with an eighth of its multiply-adds; another name of
+    /// `smr-gpu weights`; or a weight file [default: $SMR_GPU_WEIGHTS, else `large`, else `small`].
+    #[arg(long, value_name = "large|small|NAME|FILE")]
     weights: Option<PathBuf>,
 
     /// The sensor that took the pictures: `paper`, `gelsight-mini`, `digit`, `plain` (the whole frame is
@@ -266,9 +259,7 @@ impl NetworkArgs {
     /// Spares what a configuration of these options is read from: the weights, the sensor's file and its
     /// reference frame.
     pub fn spare(&self, outputs: &mut Outputs, config: &Config) {
-        if let WeightSource::File(weights) = &config.weights {
-            outputs.spare(weights);
-        }
+        config.weights.file().into_iter().for_each(|file| outputs.spare(file));
         if let Some(Given { sensor, file }) = &self.sensor {
             file.iter().chain(&sensor.reference).for_each(|file| outputs.spare(file));
         }
@@ -279,12 +270,12 @@ impl NetworkArgs {
     /// # Errors
     /// [`Exit::Weights`] if there is no weight file.
     pub fn config(&self, savings: Savings) -> Result<Config, Failure> {
-        self.config_with(weight_file(self.weights.as_deref())?, savings)
+        self.config_with(weights(self.weights.as_deref())?, savings)
     }
 
     /// [`config`](Self::config) with other weights.
-    fn config_with(&self, weights: PathBuf, savings: Savings) -> Result<Config, Failure> {
-        let mut config = Config::new(weights);
+    fn config_with(&self, weights: WeightSource, savings: Savings) -> Result<Config, Failure> {
+        let mut config = Config::with_weights(weights);
         config.input_size = self.size;
         config.sensor = self.sensor.as_ref().map(|given| given.sensor.clone());
         config.mm_per_pixel = self.mm_per_pixel;
@@ -320,14 +311,14 @@ impl DetectorArgs {
     /// # Errors
     /// See [`NetworkArgs::config`].
     pub fn config(&self) -> Result<Config, Failure> {
-        self.config_with(weight_file(self.network.weights.as_deref())?)
+        self.config_with(weights(self.network.weights.as_deref())?)
     }
 
     /// [`config`](Self::config) with other weights than the options name.
     ///
     /// # Errors
     /// As [`config`](Self::config).
-    pub fn config_with(&self, weights: PathBuf) -> Result<Config, Failure> {
+    pub fn config_with(&self, weights: WeightSource) -> Result<Config, Failure> {
         let mut config = self.network.config_with(weights, self.savings())?;
         config.iou = self.boxes.iou;
         config.device = self.device.device.clone();
@@ -423,36 +414,16 @@ pub(super) fn open_gpu(device: &Device) -> Result<Option<Arc<Gpu>>, Failure> {
     }
 }
 
-/// The weight file that is named, or the default.
+/// The weights that are asked for, or what runs without.
 ///
 /// # Errors
-/// [`Exit::Weights`] if there is none.
-pub(super) fn weight_file(given: Option<&Path>) -> Result<PathBuf, Failure> {
-    let variable = std::env::var_os(WEIGHTS_VARIABLE).filter(|v| !v.is_empty()).map(PathBuf::from);
-    let given = given.map(Path::to_path_buf).or(variable).unwrap_or_else(|| WEIGHTS[0].0.into());
-    let Some((_, file)) = WEIGHTS.iter().find(|(name, _)| Path::new(name) == given) else {
-        if given.extension().is_none() && !given.exists() {
-            let (names, given) = (WEIGHTS.map(|(name, _)| name).join(", "), given.display());
-            let message = format!("weights: expected {names} or a file, got `{given}`");
-            return Err(Failure::new(Exit::Weights, message));
-        }
-        return Ok(given);
-    };
-    let program = std::env::current_exe().unwrap_or_default();
-    // The third folder up from target/release/smr-gpu is the checkout.
-    let folders = program.ancestors().skip(1).take(3);
-    let found = std::iter::once(Path::new("")).chain(folders).map(|f| f.join(file));
-    let found: Vec<PathBuf> = found.collect();
-    match found.iter().find(|path| path.is_file()) {
-        Some(path) => Ok(path.clone()),
-        None => {
-            let tried: Vec<String> = found.iter().map(|p| p.display().to_string()).collect();
-            let message = format!(
-                "weights: expected a file from --weights or {WEIGHTS_VARIABLE}, or one of {}; got \
-                 none",
-                tried.join(", ")
-            );
-            Err(Failure::new(Exit::Weights, message))
-        }
+/// [`Exit::Weights`] if there are none.
+fn weights(given: Option<&Path>) -> Result<WeightSource, Failure> {
+    let catalog = Catalog::from_env();
+    if let Some(given) = given {
+        return Ok(catalog.find(given)?);
     }
+    let (found, remark) = catalog.usual()?;
+    remark.into_iter().for_each(tell);
+    Ok(found)
 }

@@ -122,7 +122,7 @@ pub(super) fn as_typed(error: &Error) -> String {
 pub(super) fn exit_of(error: &Error) -> Exit {
     match error {
         Error::Param { .. } => Exit::Usage,
-        Error::Weights { .. } => Exit::Weights,
+        Error::Weights { .. } | Error::NoWeights { .. } => Exit::Weights,
         Error::NoAdapter { .. } | Error::Device { .. } | Error::Shader { .. } => Exit::Device,
         Error::DeviceLost(_) | Error::Timeout { .. } | Error::Driver { .. } => Exit::Lost,
         // A tensor or a picture that does not fit; the library may add kinds.

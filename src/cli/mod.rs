@@ -27,6 +27,7 @@ mod stdout;
 mod tensors;
 mod tradeoff;
 mod tune;
+mod weights;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -63,6 +64,7 @@ enum Command {
     LookForAdapters,
     Simulate(Box<simulate::Args>),
     Calibrate(calibrate::Args),
+    Weights(weights::Args),
 }
 
 /// Runs the program.
@@ -107,6 +109,7 @@ fn parse_and_run() -> Result<Exit, Failure> {
         Command::LookForAdapters => probe::answer(),
         Command::Simulate(args) => simulate::run(*args),
         Command::Calibrate(args) => calibrate::run(args),
+        Command::Weights(args) => weights::run(args),
     }
 }
 

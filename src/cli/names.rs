@@ -36,3 +36,24 @@ pub(super) fn base64(name: &OsStr) -> Option<String> {
     let bytes = name.as_encoded_bytes();
     Some(BASE64_STANDARD.encode(bytes))
 }
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::os::unix::ffi::OsStrExt;
+
+    use super::*;
+
+    #[test]
+    fn names_that_are_no_unicode_stay_apart() {
+        let of = |bytes| {
+            let name = OsStr::from_bytes(bytes);
+            (shown(name), base64(name))
+        };
+        assert_eq!(of(b"a\\b.png"), ("a\\b.png".into(), None));
+        assert_eq!(of(b"a\xff.png"), ("a\\xff.png".into(), Some("Yf8ucG5n".into())));
+        assert_eq!(of(b"a\xfe.png"), ("a\\xfe.png".into(), Some("Yf4ucG5n".into())));
+        assert_eq!(of(b"\\xff\xff").0, "\\\\xff\\xff");
+        // A letter that is cut off.
+        assert_eq!(of(b"\xc3\xbc\xc3").0, "ü\\xc3");
+    }
+}

@@ -130,7 +130,7 @@ fn drawable(text: &str) -> Result<Sensor, String> {
     let sensor = sensor(text)?;
     match has_frame(&sensor) {
         true => Ok(sensor),
-        false => Err(format!("expected {}, or a file that states a `raster` to draw", names())),
+        false => Err(format!("expected {}, or a file that states a `frame` to draw", names())),
     }
 }
 

@@ -1,6 +1,5 @@
 //! How to build a detector.
 
-use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -13,7 +12,7 @@ use crate::error::{Error, Result};
 use crate::sensor::Sensor;
 use crate::sensor::frame::Frame;
 use crate::sensor::scale::Gel;
-use crate::smr::{ModelConfig, Wanted};
+use crate::smr::{Catalog, ModelConfig, Wanted, WeightSource};
 
 #[cfg(doc)]
 use crate::detector::{Detections, GpuDetector};
@@ -78,25 +77,6 @@ impl std::fmt::Display for Device {
             Self::Gpu(AdapterChoice::Name(name)) => f.write_str(name),
             Self::Cpu => f.write_str("cpu"),
             Self::Reference => f.write_str("reference"),
-        }
-    }
-}
-
-/// Where the weights are.
-#[derive(Clone)]
-pub enum WeightSource {
-    /// A safetensors file.
-    File(PathBuf),
-    /// A safetensors file's bytes, with a name for messages.
-    Bytes(PathBuf, Arc<[u8]>),
-}
-
-impl fmt::Debug for WeightSource {
-    /// A line, without the bytes.
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::File(path) => write!(f, "File({path:?})"),
-            Self::Bytes(name, bytes) => write!(f, "Bytes({name:?}, {} bytes)", bytes.len()),
         }
     }
 }
@@ -189,7 +169,17 @@ impl Config {
         Self::with_weights(WeightSource::Bytes(name.as_ref().into(), bytes.into()))
     }
 
-    fn with_weights(weights: WeightSource) -> Self {
+    /// The default configuration with the weights that [`Catalog::find`] finds: `large`, `small`, another
+    /// name, or a file.
+    ///
+    /// # Errors
+    /// [`Error::NoWeights`].
+    pub fn find(weights: impl AsRef<Path>) -> Result<Self> {
+        Catalog::from_env().find(weights.as_ref()).map(Self::with_weights)
+    }
+
+    /// The default configuration with these weights.
+    pub fn with_weights(weights: WeightSource) -> Self {
         Self {
             weights,
             device: Device::default(),

@@ -54,7 +54,7 @@ use crate::sensor::scale::Scale;
 use crate::sensor::view::{self, Known, View};
 use crate::smr::ModelConfig;
 pub use caching::{CachingDetector, MOST_REUSED};
-pub use config::{Config, Device, WeightSource};
+pub use config::{Config, Device};
 pub use detection::{Detection, Detections};
 use geometry::Geometry;
 use inference::Job;

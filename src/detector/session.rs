@@ -6,7 +6,7 @@ use crate::detector::compiled::{self, Compiled};
 use crate::detector::contact_map;
 use crate::detector::pool::Pool;
 use crate::detector::runner::On;
-use crate::detector::{Config, Device, Savings, WeightSource};
+use crate::detector::{Config, Device, Savings};
 use crate::engine::gpu::{AdapterChoice, Gpu, GpuOptions};
 use crate::engine::kernels;
 use crate::engine::lock::lock;
@@ -57,12 +57,7 @@ pub(crate) struct Session {
 impl Session {
     /// Loads the weights and opens what the configuration names, or takes `gpu`.
     pub async fn open(config: &Config, gpu: Option<Arc<Gpu>>) -> Result<Self> {
-        let weights = match &config.weights {
-            WeightSource::File(path) => Weights::open(path)?,
-            WeightSource::Bytes(name, bytes) => {
-                Weights::from_shared(name, Arc::new(bytes.clone()))?
-            }
-        };
+        let weights = Weights::load(&config.weights)?;
         let wanted = config.wanted(weights.config())?;
         let (mut kernels, mut remarks) = (KernelChoice::default(), Vec::new());
         let gpu = match gpu {

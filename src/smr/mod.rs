@@ -1,6 +1,7 @@
 //! SMR-Net, stage by stage: backbone with attention, fusion, proposals, RoI head.
 
 mod backbone;
+pub mod catalog;
 mod cbam;
 mod configuration;
 mod fusion;
@@ -9,9 +10,10 @@ mod roi_head;
 mod rpn;
 mod weights;
 
+pub use catalog::Catalog;
 pub use configuration::{ModelConfig, Variant};
 pub use roi_head::Wanted;
-pub use weights::{MAX_FILE, Weights};
+pub use weights::{Bytes, MAX_FILE, WeightSource, Weights};
 
 use backbone::Features;
 use cbam::POOLED;

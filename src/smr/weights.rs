@@ -47,7 +47,65 @@ enum Source {
 }
 
 /// Bytes that somebody holds.
-type Bytes = Arc<dyn AsRef<[u8]> + Send + Sync>;
+pub type Bytes = Arc<dyn AsRef<[u8]> + Send + Sync>;
+
+/// Where weights are.
+#[derive(Clone)]
+pub enum WeightSource {
+    /// A safetensors file.
+    File(PathBuf),
+    /// A safetensors file's bytes, with a name for messages.
+    Bytes(PathBuf, Arc<[u8]>),
+    /// [`WeightSource::Bytes`] that are part of the program.
+    Static(&'static str, &'static [u8]),
+}
+
+impl fmt::Debug for WeightSource {
+    /// A line, without the bytes.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File(path) => write!(f, "File({path:?})"),
+            Self::Bytes(name, bytes) => write!(f, "Bytes({name:?}, {} bytes)", bytes.len()),
+            Self::Static(name, bytes) => write!(f, "Static({name:?}, {} bytes)", bytes.len()),
+        }
+    }
+}
+
+impl WeightSource {
+    /// The file; `None` for bytes.
+    pub fn file(&self) -> Option<&Path> {
+        match self {
+            Self::File(path) => Some(path),
+            Self::Bytes(..) | Self::Static(..) => None,
+        }
+    }
+
+    /// The file, or what stands for it in messages.
+    pub fn name(&self) -> &Path {
+        match self {
+            Self::File(name) | Self::Bytes(name, _) => name,
+            Self::Static(name, _) => Path::new(name),
+        }
+    }
+
+    /// All bytes. A file is read; others are not copied.
+    ///
+    /// # Errors
+    /// [`Error::Weights`] for a file that cannot be read, is no regular file or longer than [`MAX_FILE`].
+    pub fn bytes(&self) -> Result<Bytes> {
+        Ok(match self {
+            Self::File(path) => {
+                let fail = |e: std::io::Error| Error::Weights {
+                    file: path.clone(),
+                    message: e.to_string(),
+                };
+                Arc::new(files::read(path, MAX_FILE).map_err(fail)?)
+            }
+            Self::Bytes(_, bytes) => Arc::new(bytes.clone()),
+            Self::Static(_, bytes) => Arc::new(*bytes),
+        })
+    }
+}
 
 /// Where the bytes of a weight file are.
 #[derive(Clone)]
@@ -179,6 +237,19 @@ pub struct Folded {
 }
 
 impl Weights {
+    /// Reads weights from wherever they are.
+    ///
+    /// # Errors
+    /// As [`Weights::open`].
+    pub fn load(source: &WeightSource) -> Result<Self> {
+        match source {
+            WeightSource::File(path) => Self::open(path),
+            WeightSource::Bytes(..) | WeightSource::Static(..) => {
+                Self::from_shared(source.name(), source.bytes()?)
+            }
+        }
+    }
+
     /// Reads a weight file.
     ///
     /// # Errors

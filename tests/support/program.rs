@@ -55,10 +55,11 @@ impl Ran {
     }
 }
 
-/// The program in a folder, with the repository's weights.
+/// The program in a folder, with the repository's weights and none of the user's.
 pub fn command(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_smr-gpu"));
     command.current_dir(folder).env("SMR_GPU_WEIGHTS", WEIGHTS).stdin(Stdio::null());
+    command.env("XDG_DATA_HOME", folder.join("data"));
     command
 }
 

@@ -236,7 +236,7 @@ impl Runner {
 }
 
 fn build(setup: &Setup, keep_stages: bool) -> Result<GpuDetector, Failure> {
-    let (config, _) = configured(setup, Config::new(weights_of(setup)?))?;
+    let (config, _) = configured(setup, Config::with_weights(weights_of(setup)?))?;
     detector::open(Config { score: LEAST_SCORE as f32, keep_stages, ..config })
 }
 

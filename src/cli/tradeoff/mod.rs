@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use smr_gpu::evaluation::tradeoff::{Limit, Table};
 use smr_gpu::files::Outputs;
-use smr_gpu::{Config, Device};
+use smr_gpu::{Config, Device, WeightSource};
 
 pub(super) use peak::{Args as PeakArgs, run as run_peak};
 pub(super) use setups::configured;
@@ -46,7 +46,7 @@ pub(super) struct Args {
     limit: u32,
 
     /// The networks, the base first [default: those of `large` and `small` that there are].
-    #[arg(long, value_name = "large|small|FILE", value_delimiter = ',')]
+    #[arg(long, value_name = "large|small|NAME|FILE", value_delimiter = ',')]
     weights: Vec<String>,
 
     /// Longer sides of the gel in the network's input, in pixels, multiples of 32, beside the scale that
@@ -100,7 +100,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let file = |extension: &str| args.out.join(format!("tradeoff.{extension}"));
     let extensions = ["json", "csv", "md", "png", "svg"];
     let weights = setups::weights(&args.weights)?;
-    let mut outputs = Outputs::sparing(weights.iter().map(|(_, file, _)| file));
+    let mut outputs = Outputs::sparing(weights.iter().filter_map(|(_, found, _)| found.file()));
     let gpu = match &args.device {
         Device::Auto => match open_gpu(&"gpu".parse::<Device>()?) {
             Ok(gpu) => gpu,
@@ -171,9 +171,9 @@ fn recommendation(table: &Table, limit: Limit) -> String {
     }
 }
 
-/// The classes that a weight file knows.
-fn classes_of(weights: &Path) -> Result<Vec<String>, Failure> {
-    let weights = smr_gpu::smr::Weights::open(weights)?;
+/// The classes that weights know.
+fn classes_of(weights: &WeightSource) -> Result<Vec<String>, Failure> {
+    let weights = smr_gpu::smr::Weights::load(weights)?;
     Ok(weights.config().classes.clone())
 }
 
@@ -187,7 +187,7 @@ pub(super) fn chosen(table: &Path, limit: Limit, given: &DetectorArgs) -> Result
     let setup = &table.choose(limit).map_err(usage)?.setup;
     let given = given.config_with(setups::weights_of(setup)?)?;
     let (config, place) = configured(setup, given)?;
-    let digest = setups::digest_of(&config)?;
+    let digest = setups::digest_of(&config.weights)?;
     table.check(setup, place.as_ref(), &digest).map_err(usage)?;
     Ok(config)
 }

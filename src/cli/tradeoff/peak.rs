@@ -25,7 +25,7 @@ pub(in crate::cli) struct Args {
 pub(in crate::cli) fn run(args: Args) -> Result<Exit, Failure> {
     let setup: Setup =
         serde_json::from_str(&args.setup).map_err(|e| Failure::usage(e.to_string()))?;
-    let (config, _) = configured(&setup, Config::new(weights_of(&setup)?))?;
+    let (config, _) = configured(&setup, Config::with_weights(weights_of(&setup)?))?;
     let detector = detector::open(config)?;
     let source = Source::File(args.picture);
     let picture = picture::read(&source).map_err(|e| Failure::new(Exit::Inputs, e))?;

@@ -1,16 +1,17 @@
 //! Which setups are measured, and their configurations.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use smr_gpu::engine::gpu::Gpu;
 use smr_gpu::engine::lower::KernelChoice;
 use smr_gpu::engine::tuned::Place;
 use smr_gpu::evaluation::tradeoff::{Measured, Setup, Table, digest};
+use smr_gpu::smr::Catalog;
 use smr_gpu::{Config, Device, Precision, WeightSource};
 
-use super::super::detector::{open_gpu, weight_file};
-use super::super::exit::{Exit, Failure};
+use super::super::detector::open_gpu;
+use super::super::exit::Failure;
 
 /// Families of kernels that are measured beside the default kernels.
 const FAMILIES: [&[&str]; 3] =
@@ -35,9 +36,9 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    /// From the weights, with their files, the sizes, the adapter, if there is one, and the number of pictures.
+    /// From the weights, with where they are, the sizes, the adapter, if there is one, and the number of pictures.
     pub fn new(
-        weights: &[(String, PathBuf, String)],
+        weights: &[(String, WeightSource, String)],
         sizes: &[usize],
         gpu: Option<&(Arc<Gpu>, Device)>,
         pictures: usize,
@@ -126,49 +127,47 @@ impl Plan {
     }
 }
 
-/// Names, files and digests of the weights; without names, of those that there are.
+/// Names, places and digests of the weights; without names, of those of `large` and `small` that there are.
 ///
 /// # Errors
-/// [`Exit::Weights`].
-pub(super) fn weights(names: &[String]) -> Result<Vec<(String, PathBuf, String)>, Failure> {
+/// [`Exit::Weights`](super::super::exit::Exit::Weights).
+pub(super) fn weights(names: &[String]) -> Result<Vec<(String, WeightSource, String)>, Failure> {
     let of = |name: &str| {
-        let file = weight_file(Some(Path::new(name)))?;
-        let digest = digest_of_file(&file)?;
-        Ok((name.to_owned(), file, digest))
+        let found = named(name)?;
+        let digest = digest_of(&found)?;
+        Ok((name.to_owned(), found, digest))
     };
-    match names {
-        [] => {
-            let mut found = vec![of("large")?];
-            found.extend(of("small").ok());
-            Ok(found)
+    if !names.is_empty() {
+        return names.iter().map(|name| of(name)).collect();
+    }
+    match (of("large"), of("small")) {
+        (Ok(large), small) => Ok([large].into_iter().chain(small.ok()).collect()),
+        (Err(missing), Ok(small)) => {
+            missing.told();
+            Ok(vec![small])
         }
-        names => names.iter().map(|name| of(name)).collect(),
+        (Err(missing), Err(_)) => Err(missing),
     }
 }
 
-fn digest_of_file(file: &Path) -> Result<String, Failure> {
-    let bytes = smr_gpu::files::read(file, smr_gpu::smr::MAX_FILE)
-        .map_err(|e| Failure::new(Exit::Weights, format!("weights {}: {e}", file.display())))?;
-    Ok(digest(&bytes))
-}
-
-/// The digest of the weights of a configuration.
+/// The digest of weights.
 ///
 /// # Errors
-/// [`Exit::Weights`].
-pub(super) fn digest_of(config: &Config) -> Result<String, Failure> {
-    match &config.weights {
-        WeightSource::File(file) => digest_of_file(file),
-        WeightSource::Bytes(_, bytes) => Ok(digest(bytes)),
-    }
+/// [`Exit::Weights`](super::super::exit::Exit::Weights).
+pub(super) fn digest_of(weights: &WeightSource) -> Result<String, Failure> {
+    Ok(digest((*weights.bytes()?).as_ref()))
 }
 
-/// The file of a setup's weights.
+/// The weights of a setup.
 ///
 /// # Errors
-/// [`Exit::Weights`] if there is none.
-pub(super) fn weights_of(setup: &Setup) -> Result<PathBuf, Failure> {
-    weight_file(Some(Path::new(&setup.weights)))
+/// [`Exit::Weights`](super::super::exit::Exit::Weights) if there are none.
+pub(super) fn weights_of(setup: &Setup) -> Result<WeightSource, Failure> {
+    named(&setup.weights)
+}
+
+fn named(weights: &str) -> Result<WeightSource, Failure> {
+    Ok(Catalog::from_env().find(Path::new(weights))?)
 }
 
 /// `config` with what a setup says besides its weights, and the adapter that it runs on.
@@ -215,7 +214,8 @@ mod tests {
     /// Two networks and six sizes on the CPU alone are eight setups and a batch; an adapter adds twelve.
     #[test]
     fn enough_is_measured_and_nothing_twice() {
-        let weights = ["large", "small"].map(|w| (w.to_owned(), PathBuf::new(), String::new()));
+        let weights = ["large", "small"]
+            .map(|w| (w.to_owned(), WeightSource::File("gone".into()), String::new()));
         let sizes = [160, 192, 224, 256, 288, 384];
         // Three pictures are no four at a time.
         assert_eq!(Plan::new(&weights, &sizes, None, 3).single.len(), 8);

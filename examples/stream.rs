@@ -10,17 +10,17 @@
 //! snaps found (a box of their class above a score of 0.5 that overlaps by at least half), boxes on frames
 //! without a label, and the largest and median distance of a centre from the label's.
 
-mod labelled;
-
 use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
 
-use smr_gpu::evaluation::coco::Dataset;
+use smr_gpu::evaluation::Seen;
+use smr_gpu::evaluation::coco::{self, Dataset};
 use smr_gpu::evaluation::metrics::quantile;
-use smr_gpu::{CachingDetector, Config, Detections, Device, Frame, GpuDetector, Savings};
+use smr_gpu::{CachingDetector, Config, Detections, Device, Frame, GpuDetector, Savings, picture};
 
-use labelled::{Best, SCORE, best, center_mm, distance};
+/// Scores above this count.
+const SCORE: f32 = 0.5;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
@@ -29,9 +29,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let device: Device = device.parse()?;
     let folder = Path::new(folder);
-    let data = labelled::open(folder)?;
-    let frames = data.pictures.iter().map(|picture| labelled::frame(folder, picture));
-    let frames: Vec<Frame> = frames.collect::<Result<_, _>>()?;
+    let data = coco::parse(&std::fs::read(folder.join("annotations.json"))?)?;
+    let read = |labelled: &coco::Picture| picture::read(labelled.find_in(folder));
+    let pictures: Vec<_> = data.pictures.iter().map(read).collect::<Result<_, _>>()?;
+    let frames = data.pictures.iter().zip(&pictures);
+    let frames: Vec<Frame> = frames.map(|(label, shown)| label.state(Frame::from(shown))).collect();
     println!(
         "| | ms, median | 95 % | longest | reused | no contact | in parts | found | false | centre, mm | largest |"
     );
@@ -51,7 +53,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 frames.iter().map(|f| camera.detect(f)).collect::<Result<_, _>>()?
             }
         };
-        print(name, &found, &data);
+        print(name, &found, &data.clone().of_classes(&detector.model().classes)?);
     }
     Ok(())
 }
@@ -64,12 +66,11 @@ fn print(name: &str, found: &[Detections], data: &Dataset) {
         if picture.labels.is_empty() {
             wrong += found.detections.len();
         }
-        for label in labelled::snaps(picture) {
-            snaps += 1;
-            let best = best(found, &data.categories[label.category], label);
-            let right = best.filter(Best::is_right);
-            errors.extend(right.map(|b| distance(b.center, center_mm(label, found))));
-        }
+        let seen = Seen::new(picture, found);
+        let best = seen.best(SCORE.into());
+        snaps += best.len();
+        let right = best.iter().filter_map(|(_, right)| right.as_ref());
+        errors.extend(right.map(|right| right.off_mm[0].hypot(right.off_mm[1])));
     }
     let right = errors.len();
     let count = |of: fn(&Detections) -> bool| found.iter().filter(|found| of(found)).count();

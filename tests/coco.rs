@@ -250,6 +250,38 @@ fn a_byte_order_mark_is_passed_over_and_utf_16_named() {
 }
 
 #[test]
+fn categories_become_a_networks_classes() {
+    let classes = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
+    let data = parse(&changed(|v| {
+        let list = v["categories"].as_array_mut().expect("a list");
+        list.push(json!({"id": 9, "name": "unused"}));
+    }));
+    let data = data.expect("annotations");
+    let turned = data.clone().of_classes(&classes(&["b", "a"])).expect("known categories");
+    assert_eq!(turned.categories, ["b", "a"]);
+    let categories = |data: &Dataset| -> Vec<usize> {
+        data.pictures.iter().map(|picture| picture.labels[0].category).collect()
+    };
+    assert_eq!((categories(&data), categories(&turned)), (vec![0, 1], vec![1, 0]));
+    let message = data.of_classes(&classes(&["B", "C"])).expect_err("no class").to_string();
+    assert_eq!(message, "category: expected one of the weights' B, C, got `A`");
+}
+
+#[test]
+fn a_picture_is_found_in_its_folder_or_in_images_there() {
+    let value = changed(|v| v["images"][0]["file_name"] = json!("x\\a.png"));
+    let picture = &parse(&value).expect("annotations").pictures[1];
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    assert_eq!(picture.find_in(folder.path()), at("images").join("x\\a.png"));
+    for name in ["images/x/a.png", "x/a.png"] {
+        std::fs::create_dir_all(at(name).parent().expect("a folder")).expect("made");
+        std::fs::write(at(name), "").expect("written");
+        assert_eq!(picture.find_in(folder.path()), at(name));
+    }
+}
+
+#[test]
 fn backslashes_are_separators_of_windows_and_lead_nowhere_else() {
     let windows = |name: &str| {
         let value = changed(|v| v["images"][0]["file_name"] = json!(name));

@@ -269,7 +269,7 @@ fn shaders_validate_and_keep_to_the_default_limits() {
     assert!(failures.is_empty(), "{}", failures.join("\n"));
 }
 
-/// The faults that `examples/host_faults.rs` plants are in the sources as they stand, their tests are there,
+/// The faults that `tools/host_faults.rs` plants are in the sources as they stand, their tests are there,
 /// and the table for people has them all.
 #[test]
 fn faults_of_the_host_can_be_planted() {

@@ -52,6 +52,24 @@ mod upsample_bilinear;
 #[path = "ops/weighted_sum.rs"]
 mod weighted_sum;
 
+/// The cases with outputs by hand alone: `tests/run.sh quick` runs these.
+#[test]
+fn cases_by_hand() {
+    use smr_gpu::engine::ops::OPS;
+    use smr_gpu::verify::check::{Selection, Target, rows};
+    let target = Target::Gpu(support::gpu().clone());
+    let mut failures = Vec::new();
+    for entry in OPS {
+        for case in (entry.cases)().into_iter().filter(|case| case.by_hand.is_some()) {
+            let selection = Selection { case: Some(case.name), ..Selection::default() };
+            let rows = rows(&target, entry, &selection).expect("a device that stays");
+            assert!(rows.iter().any(|row| row.cases > 0), "{}: a case ran nowhere", entry.name);
+            failures.extend(rows.into_iter().flat_map(|row| row.failures));
+        }
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
+
 /// Bounds checks may change no bit, so that what the tests find with them holds without.
 #[test]
 fn bounds_checks_change_no_bit() {

@@ -1,8 +1,19 @@
 #!/usr/bin/env bash
 # Runs every check, on a GPU or on a software adapter. Where no Vulkan adapter is found it installs
 # Mesa's (lavapipe) by apt, as root or with sudo. Without an adapter it fails: nothing is skipped.
+# Usage: tests/run.sh [quick]
+# `quick` is for while one writes: format, lints, the unit tests, every kernel's cases by hand, the
+# sample pictures, the layout.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+
+case "${1:-}" in
+"" | quick) ;;
+*)
+    echo "expected nothing or \`quick\`, got $1"
+    exit 2
+    ;;
+esac
 
 # What apt brings: the loader and lavapipe.
 packages=(libvulkan1 mesa-vulkan-drivers)
@@ -37,7 +48,7 @@ step() {
     times+=($((SECONDS - begin)))
 }
 
-smr_gpu=target/release/smr-gpu
+smr_gpu=${CARGO_TARGET_DIR:-target}/release/smr-gpu
 
 install_adapter() {
     local as_root=()
@@ -93,9 +104,42 @@ package() {
     [ "$size" -le "$most_packed" ]
 }
 
+if [ "${1:-}" = quick ]; then
+    # Builds again what a change touches, and no more.
+    export CARGO_INCREMENTAL=1
+    tests=(--lib --bins --test detect --test layout --test ops)
+    step format cargo fmt --check
+    step build cargo test --locked --release "${tests[@]}" --no-run
+    step adapter have_adapter
+    step clippy cargo clippy --locked --release --all-targets -- -D warnings
+    step unit cargo test --locked --release --lib --bins
+    step layout cargo test --locked --release --test layout
+    step kernels cargo test --locked --release --test ops by_hand
+    step pictures cargo test --locked --release --test detect samples
+    exit
+fi
+
+# Nothing is built a second time here.
+export CARGO_INCREMENTAL=0
+
+# The units of code are tested with overflow checks and debug assertions in this crate, and so is the program;
+# what it depends on is built already. One codegen unit is built in less time than sixteen.
+own=profile.release.package.smr-gpu
+checks=(
+    --config "$own.overflow-checks=true"
+    --config "$own.debug-assertions=true"
+    --config "$own.codegen-units=1"
+)
+# All other tests, the program's again, run on what is released.
+released=(--test '*')
+check() {
+    "$smr_gpu" check --device gpu
+    "$smr_gpu" check --device cpu
+}
+
 step format cargo fmt --check
 # With what the tests need, so that nothing is built twice; the program is built with them.
-step build cargo test --locked --release --tests --no-run
+step build cargo test --locked --release "${released[@]}" --no-run
 step adapter have_adapter
 step clippy cargo clippy --locked --release --all-targets -- -D warnings
 step features features
@@ -106,12 +150,9 @@ if command -v cargo-deny >/dev/null; then
     step deny cargo deny --locked check bans licenses sources
 fi
 # Examples are no tests: clippy has compiled them.
-step tests cargo test --locked --release --tests
+step tests cargo test --locked --release "${released[@]}"
 step doctests cargo test --locked --release --doc
-# The same code with overflow checks and debug assertions; what it depends on is built already.
-step overflow cargo test --locked --release --lib --test cli \
-    --config profile.release.package.smr-gpu.overflow-checks=true \
-    --config profile.release.package.smr-gpu.debug-assertions=true
+step checked cargo test --locked --release "${checks[@]}" --lib --bins --test cli
 # Under its name there is the program with those checks now: put the other one back.
 cargo test --locked --release --no-run --test cli
-step shaders "$smr_gpu" check --device gpu
+step check check

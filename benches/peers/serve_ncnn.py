@@ -1,4 +1,4 @@
-"""Runs the backbone in ncnn whenever a line on stdin asks for it, as examples/timed.rs does.
+"""Runs the backbone in ncnn whenever a line on stdin asks for it, as tools/timed.rs does.
 
 A process of its own: ncnn's Vulkan and another program's share nothing then.
 """

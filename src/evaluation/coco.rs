@@ -1,6 +1,6 @@
 //! COCO annotations: which pictures there are, and what they show.
 //!
-//! [`parse`] takes bytes and opens no file. What pycocotools would pass over in silence, a box
+//! [`parse`] takes bytes and opens no file; [`Picture::find_in`] looks for a picture's. What pycocotools would pass over in silence, a box
 //! outside its picture or an id that two things share, is refused by name; what it defines, crowds
 //! and areas, is kept for [`crate::evaluation::metrics`].
 
@@ -396,12 +396,43 @@ fn flag(number: f64) -> Option<bool> {
     }
 }
 
+impl Dataset {
+    /// The same, with categories that are a network's `classes`, whatever their capitals. Those that no
+    /// label has may be none of them.
+    ///
+    /// # Errors
+    /// [`Error`] that names a label's category that is no class.
+    pub fn of_classes(mut self, classes: &[String]) -> Result<Self, Error> {
+        let class_of = |name: &String| {
+            classes.iter().position(|class| class.to_lowercase() == name.to_lowercase())
+        };
+        let class_of: Vec<Option<usize>> = self.categories.iter().map(class_of).collect();
+        for label in self.pictures.iter_mut().flat_map(|picture| &mut picture.labels) {
+            let class = class_of[label.category].ok_or_else(|| {
+                let expected = format!("one of the weights' {}", classes.join(", "));
+                Error::new("category", expected, format!("`{}`", self.categories[label.category]))
+            })?;
+            label.category = class;
+        }
+        Ok(Self { categories: classes.to_vec(), ..self })
+    }
+}
+
 impl Picture {
     /// The frame with the scale and the gel that its label states.
     pub fn state<'a>(&self, mut frame: Frame<'a>) -> Frame<'a> {
         frame.scale = self.mm_per_pixel.map(Scale::label);
         frame.gel = self.gel.map(Gel::Part);
         frame
+    }
+
+    /// Where its file is, in `folder` or `images` there; where there is none, what was looked for last.
+    pub fn find_in(&self, folder: &Path) -> PathBuf {
+        let images = folder.join("images");
+        let windows = self.file_of_windows();
+        let names = std::iter::once(&self.file).chain(&windows);
+        let mut files = names.flat_map(|name| [folder.join(name), images.join(name)]);
+        files.find(|file| file.exists()).unwrap_or_else(|| images.join(&self.file))
     }
 
     /// [`Picture::file`] as Windows means it, with backslashes between folders: for where no file has the name

@@ -15,6 +15,7 @@ pub mod tradeoff;
 
 use serde::Serialize;
 
+use crate::detector::Detections;
 use crate::evaluation::coco::{Attribute, Attributes};
 use crate::evaluation::metrics::{
     Areas, PictureBoxes, Ranking, ScoredBox, Truth, average_precision_50_95, center,
@@ -79,16 +80,46 @@ pub struct Seen {
 
 /// A found box that is right.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Right<'a> {
-    found: &'a Found,
+pub struct Right<'a> {
+    /// The box.
+    pub found: &'a Found,
     /// From the truth to the found centre, in millimetres.
-    off_mm: [f64; 2],
+    pub off_mm: [f64; 2],
     /// The truth's direction to the found one, in degrees from −180 to 180; of a whole snap alone,
     /// since half a hook may leave none to be seen.
-    off_deg: Option<f64>,
+    pub off_deg: Option<f64>,
 }
 
 impl Seen {
+    /// A picture, its labels' categories the network's classes ([`coco::Dataset::of_classes`]), and what
+    /// was found in it.
+    pub fn new(labelled: &coco::Picture, found: &Detections) -> Self {
+        let mut conditions = labelled.conditions.clone();
+        if let Some(mm_per_pixel) = labelled.mm_per_pixel.map(f64::from) {
+            let longer = f64::from(found.gel.width.max(found.gel.height));
+            conditions.insert("pixels_per_mm".into(), Attribute::Number(1.0 / mm_per_pixel));
+            conditions.insert("field_mm".into(), Attribute::Number(longer * mm_per_pixel));
+        }
+        let snaps = labelled.labels.iter().map(|label| Snap {
+            class: label.category,
+            truth: label.truth,
+            attributes: label.attributes.clone(),
+        });
+        let boxes = found.detections.iter().map(|d| Found {
+            class: d.class_index,
+            scored: ScoredBox { bbox: d.bbox.map(f64::from), score: d.score.into() },
+            center_std_mm: d.center_std_mm.map(|std| std.map(f64::from)),
+            yaw_deg: d.yaw_deg.map(f64::from),
+            yaw_std_deg: d.yaw_std_deg.map(f64::from),
+        });
+        Self {
+            snaps: snaps.collect(),
+            found: boxes.collect(),
+            mm_per_pixel: found.scale.mm_per_pixel.into(),
+            conditions,
+        }
+    }
+
     /// The picture's snaps and found boxes of one class.
     fn of_class(&self, class: usize) -> PictureBoxes {
         let truths = self.snaps.iter().filter(|s| s.class == class).map(|s| s.truth);
@@ -98,7 +129,7 @@ impl Seen {
 
     /// Overlap of each snap that counts with the best box of its class that scores above `conf`, and
     /// the box where it is right.
-    fn best(&self, conf: f64) -> Vec<(f64, Option<Right<'_>>)> {
+    pub fn best(&self, conf: f64) -> Vec<(f64, Option<Right<'_>>)> {
         let counted = self.snaps.iter().filter(|s| !s.truth.crowd && !s.truth.ignored);
         let best_of = |snap: &Snap| {
             let rivals = self.found.iter().filter(|f| f.class == snap.class);

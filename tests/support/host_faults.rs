@@ -1,5 +1,5 @@
 //! Faults planted in the host's code, each with the test that notices it: what `check` and `compare`
-//! run on both sides shows in neither. `examples/host_faults.rs` plants them in a copy of the sources.
+//! run on both sides shows in neither. `tools/host_faults.rs` plants them in a copy of the sources.
 
 #![allow(dead_code)]
 

@@ -8,11 +8,10 @@ use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use smr_gpu::evaluation::coco::{self, Attribute, Picture};
-use smr_gpu::evaluation::metrics::ScoredBox;
+use smr_gpu::evaluation::coco::{self, Picture};
 use smr_gpu::evaluation::{
-    Deviations, Figures, Found, LEAST_SCORE, Reliability, Seen, Snap, Stratum, by_condition,
-    deviations, figures, reliability,
+    Deviations, Figures, LEAST_SCORE, Reliability, Seen, Stratum, by_condition, deviations,
+    figures, reliability,
 };
 use smr_gpu::files::{self, Outputs};
 use smr_gpu::{Detections, Frame, GpuDetector, Origin};
@@ -91,7 +90,6 @@ pub(super) struct Args {
 pub(super) struct Labelled {
     pub source: Source,
     pub picture: Picture,
-    pub snaps: Vec<Snap>,
 }
 
 /// What labels state of pictures that counts: what the options say goes before.
@@ -321,7 +319,7 @@ fn look_at(
                 }
                 set.assumed += usize::from(found.scale.from == Origin::Assumed);
                 set.seconds += found.wall.as_secs_f64();
-                set.seen.push(seen(labelled, &found));
+                set.seen.push(Seen::new(&labelled.picture, &found));
                 set.places.push(place);
             }
             Err(failure) if failure.is_of_one_picture() => {
@@ -352,25 +350,11 @@ pub(super) fn read_labels(
     let failed =
         |message: String| Failure::new(Exit::Inputs, format!("{}: {message}", file.display()));
     let bytes = files::read(&file, MAX_ANNOTATIONS).map_err(|e| failed(e.to_string()))?;
-    let dataset = coco::parse(&bytes).map_err(|e| failed(e.to_string()))?;
-    let class_of: Vec<Option<usize>> = dataset
-        .categories
-        .iter()
-        .map(|name| classes.iter().position(|class| class.to_lowercase() == name.to_lowercase()))
-        .collect();
+    let dataset = coco::parse(&bytes).and_then(|dataset| dataset.of_classes(classes));
+    let dataset = dataset.map_err(|e| failed(e.to_string()))?;
     let mut image_of = HashMap::new();
     let labelled = dataset.pictures.into_iter().map(|picture| {
-        let mut snaps = Vec::with_capacity(picture.labels.len());
-        for label in &picture.labels {
-            // Tools list categories that no annotation uses.
-            let class = class_of[label.category].ok_or_else(|| {
-                let (expected, got) = (classes.join(", "), &dataset.categories[label.category]);
-                failed(format!("category: expected one of the weights' {expected}; got `{got}`"))
-            })?;
-            let attributes = label.attributes.clone();
-            snaps.push(Snap { class, truth: label.truth, attributes });
-        }
-        let path = file_of(folder, &picture);
+        let path = picture.find_in(folder);
         outputs.spare(&path);
         // One file may have two names; where there is none, reading tells.
         if let Ok(one) = path.canonicalize()
@@ -381,18 +365,9 @@ pub(super) fn read_labels(
                 "image {id}: expected a file of its own, got {path}, which is image {other}'s"
             )));
         }
-        Ok(Labelled { source: Source::File(path), picture, snaps })
+        Ok(Labelled { source: Source::File(path), picture })
     });
     labelled.collect()
-}
-
-/// The file of a labelled picture, in its folder or `images` there; where there is none, what was looked for last.
-fn file_of(folder: &Path, picture: &Picture) -> PathBuf {
-    let images = folder.join("images");
-    let windows = picture.file_of_windows();
-    let names = std::iter::once(&picture.file).chain(&windows);
-    let mut files = names.flat_map(|name| [folder.join(name), images.join(name)]);
-    files.find(|file| file.exists()).unwrap_or_else(|| images.join(&picture.file))
 }
 
 fn look(
@@ -407,27 +382,4 @@ fn look(
     checked.map_err(|e| failed(e.to_string()))?;
     let frame = stated.of(labelled, Frame::from(&picture));
     detector.detect(&frame).map_err(|e| Failure::about(source, &e))
-}
-
-/// What a picture shows and what was found in it.
-pub(super) fn seen(labelled: &Labelled, found: &Detections) -> Seen {
-    let mut conditions = labelled.picture.conditions.clone();
-    if let Some(mm_per_pixel) = labelled.picture.mm_per_pixel.map(f64::from) {
-        let longer = f64::from(found.gel.width.max(found.gel.height));
-        conditions.insert("pixels_per_mm".into(), Attribute::Number(1.0 / mm_per_pixel));
-        conditions.insert("field_mm".into(), Attribute::Number(longer * mm_per_pixel));
-    }
-    let boxes = found.detections.iter().map(|d| Found {
-        class: d.class_index,
-        scored: ScoredBox { bbox: d.bbox.map(f64::from), score: d.score.into() },
-        center_std_mm: d.center_std_mm.map(|std| std.map(f64::from)),
-        yaw_deg: d.yaw_deg.map(f64::from),
-        yaw_std_deg: d.yaw_std_deg.map(f64::from),
-    });
-    Seen {
-        snaps: labelled.snaps.clone(),
-        found: boxes.collect(),
-        mm_per_pixel: found.scale.mm_per_pixel.into(),
-        conditions,
-    }
 }

@@ -15,7 +15,7 @@ use smr_gpu::verify::{self, Stages};
 use smr_gpu::{Config, Detection, Detections, Frame, GpuDetector};
 
 use super::super::detector;
-use super::super::eval::{Labelled, seen};
+use super::super::eval::Labelled;
 use super::super::exit::{Exit, Failure};
 use super::super::message::tell;
 use super::super::picture;
@@ -342,7 +342,8 @@ fn shift(found: &[Detections], samples: &[Sample]) -> Shift {
 
 /// What was found against the labels; `None` without any.
 fn quality(found: &[Detections], samples: &[Sample], classes: &[String]) -> Option<Quality> {
-    let seen: Vec<Seen> = found.iter().zip(samples).map(|(f, s)| seen(s.labelled, f)).collect();
+    let seen: Vec<Seen> =
+        found.iter().zip(samples).map(|(f, s)| Seen::new(&s.labelled.picture, f)).collect();
     let every: Vec<usize> = (0..classes.len()).collect();
     let Figures { mean_best_iou, ap50, center_error_mm, .. } = figures(&seen, &every, SCORE.into());
     Some(Quality {

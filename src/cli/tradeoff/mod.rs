@@ -116,7 +116,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let mut pictures = read_labels(&args.data, &classes, &mut outputs)?;
     outputs.check_all(extensions.map(file))?;
     pictures.truncate(args.limit as usize);
-    if args.min_iou.is_some() && pictures.iter().all(|picture| picture.snaps.is_empty()) {
+    if args.min_iou.is_some() && pictures.iter().all(|picture| picture.picture.labels.is_empty()) {
         let none = "--min-iou: expected pictures with labelled snaps, got none";
         return Err(Failure::new(Exit::Inputs, none));
     }

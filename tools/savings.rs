@@ -16,18 +16,18 @@
 //! several, and those with one snap of which parts, or one part, were looked at; a third the stages of the
 //! last. Then the snaps that each way loses.
 
-mod labelled;
-
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use clap::Parser;
-use smr_gpu::evaluation::coco::{Dataset, Picture};
-use smr_gpu::evaluation::metrics::quantile;
-use smr_gpu::{Config, Detections, Device, GpuDetector, Savings};
+use smr_gpu::evaluation::Seen;
+use smr_gpu::evaluation::coco::{self, Picture};
+use smr_gpu::evaluation::metrics::{center, quantile};
+use smr_gpu::{Config, Detections, Device, Frame, GpuDetector, Savings, picture};
 
-use labelled::{Best, SCORE, best, center_mm, distance};
+/// Scores above this count.
+const SCORE: f32 = 0.5;
 
 #[derive(Parser)]
 struct Args {
@@ -74,8 +74,15 @@ struct Way {
     name: String,
     detector: GpuDetector,
     looks: Vec<Look>,
-    /// Of each snap the best box of its class.
-    snaps: Vec<Option<Best>>,
+    snaps: Vec<Best>,
+}
+
+/// What a way found of a snap.
+struct Best {
+    /// Overlap of the best box of its class, 0 without one.
+    iou: f64,
+    /// From the snap's centre to the box's in millimetres, where the box is right.
+    off_mm: Option<[f64; 2]>,
 }
 
 /// One look at a picture.
@@ -162,12 +169,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut groups: Vec<Group> = names.into_iter().map(Group::new).collect();
     for folder in &args.folders {
         groups.push(Group::new(&folder.file_name().unwrap_or_default().to_string_lossy()));
-        let data = labelled::open(folder)?;
+        let data = coco::parse(&std::fs::read(folder.join("annotations.json"))?)?;
+        let data = data.of_classes(&ways[0].detector.model().classes)?;
         eprintln!("{}: {} pictures", folder.display(), data.pictures.len().min(args.limit));
         for picture in data.pictures.iter().take(args.limit) {
             let number = ways[0].looks.len();
             let before = truths.len();
-            look(&mut ways, folder, picture, &data, &mut truths, args.once)?;
+            look(&mut ways, folder, picture, &mut truths, args.once)?;
             let parts = ways.iter().find_map(|way| way.looks[number].parts);
             let shows: &[usize] = match (truths.len() - before, parts) {
                 (0, _) => &[],
@@ -194,11 +202,11 @@ fn look(
     ways: &mut [Way],
     folder: &Path,
     labelled: &Picture,
-    data: &Dataset,
     truths: &mut Vec<Truth>,
     once: bool,
 ) -> Result<(), Box<dyn Error>> {
-    let frame = labelled::frame(folder, labelled)?;
+    let decoded = picture::read(labelled.find_in(folder))?;
+    let frame = labelled.state(Frame::from(&decoded));
     for (number, way) in ways.iter_mut().enumerate() {
         let mut found = way.detector.detect(&frame)?;
         if !once {
@@ -208,19 +216,22 @@ fn look(
             }
         }
         way.looks.push(Look::of(&found));
-        for label in labelled::snaps(labelled) {
-            if number == 0 {
-                let picture = folder.join(&labelled.file).display().to_string();
-                truths.push(Truth { picture, center_mm: center_mm(label, &found) });
-            }
-            way.snaps.push(best(&found, &data.categories[label.category], label));
+        let seen = Seen::new(labelled, &found);
+        for (iou, right) in seen.best(SCORE.into()) {
+            way.snaps.push(Best { iou, off_mm: right.map(|right| right.off_mm) });
+        }
+        if number == 0 {
+            let snaps = seen.snaps.iter().filter(|snap| !snap.truth.crowd);
+            truths.extend(snaps.map(|snap| Truth {
+                picture: folder.join(&labelled.file).display().to_string(),
+                center_mm: center(snap.truth.bbox).map(|x| x * seen.mm_per_pixel),
+            }));
         }
     }
     Ok(())
 }
 
 fn print(ways: &[Way], truths: &[Truth], base: usize) {
-    let right = |best: &Option<Best>| best.filter(Best::is_right);
     let (whole, base) = (&ways[0], &ways[base]);
     println!(
         "{} pictures, {} snaps, on {}; {:.1} ms is 1\n",
@@ -240,15 +251,15 @@ fn print(ways: &[Way], truths: &[Truth], base: usize) {
             way.looks.iter().filter(|look| of(look)).count() as f64 / way.looks.len() as f64
         };
         let both = || way.snaps.iter().zip(&whole.snaps);
-        let lost = both().filter(|(own, all)| right(own).is_none() && right(all).is_some()).count();
+        let lost = both().filter(|(own, all)| own.off_mm.is_none() && all.off_mm.is_some()).count();
         let gained =
-            both().filter(|(own, all)| right(own).is_some() && right(all).is_none()).count();
-        let overlap: f64 = way.snaps.iter().map(|best| best.map_or(0.0, |b| b.iou)).sum();
-        let found =
-            || way.snaps.iter().zip(truths).filter_map(|(best, at)| Some((right(best)?, at)));
-        let errors = found().map(|(best, truth)| distance(best.center, truth.center_mm));
-        let shifts = both().filter_map(|(own, all)| Some((right(own)?.center, right(all)?.center)));
-        let shifts: Vec<f64> = shifts.map(|(own, all)| distance(own, all)).collect();
+            both().filter(|(own, all)| own.off_mm.is_some() && all.off_mm.is_none()).count();
+        let overlap: f64 = way.snaps.iter().map(|best| best.iou).sum();
+        let found = || way.snaps.iter().filter_map(|best| best.off_mm);
+        let errors = found().map(|[x, y]| x.hypot(y));
+        let shifts = both().filter_map(|(own, all)| Some((own.off_mm?, all.off_mm?)));
+        let shifts = shifts.map(|([x, y], [u, v])| (u - x).hypot(v - y));
+        let shifts: Vec<f64> = shifts.collect();
         println!(
             "| {} | {:.3} | {:.2} | {:.2} | {:.2} | {:.2} | {} | {lost} | {gained} | {:.2} | {:.3} | {:.3} | {:.3} |",
             way.name,
@@ -313,8 +324,7 @@ fn print_lost(ways: &[Way], truths: &[Truth]) {
     println!("\n| lost by | picture | centre, mm |\n|---|---|---|");
     for way in &ways[1..] {
         for ((own, all), truth) in way.snaps.iter().zip(&ways[0].snaps).zip(truths) {
-            let [own, all] = [own, all].map(|best| best.is_some_and(|best| best.is_right()));
-            if all && !own {
+            if all.off_mm.is_some() && own.off_mm.is_none() {
                 let [x, y] = truth.center_mm;
                 println!("| {} | {} | {x:.1}, {y:.1} |", way.name, truth.picture);
             }

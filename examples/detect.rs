@@ -7,11 +7,10 @@ use smr_gpu::{Config, GpuDetector, picture};
 fn main() -> Result<(), Box<dyn Error>> {
     let file = std::env::args().nth(1).ok_or("expected a picture's file name")?;
     // Built once: it opens the GPU, compiles the shaders and uploads the weights.
-    let detector =
-        GpuDetector::new(Config { score: 0.5, ..Config::new("weights/smrnet.safetensors") })?;
+    let detector = GpuDetector::new(Config::find("large")?)?;
 
     let found = detector.detect(&picture::read(file)?)?;
-    for snap in &found.detections {
+    for snap in &found {
         let [x, y] = snap.center_mm;
         println!("{} at {x:+.2} mm, {y:+.2} mm, score {:.2}", snap.class, snap.score);
     }

@@ -41,8 +41,8 @@ fn tables() {
 }
 
 #[test]
-fn choices() {
-    over("choices", targets::choices::run);
+fn tuned() {
+    over("tuned", targets::tuned::run);
 }
 
 #[test]

@@ -11,7 +11,6 @@ use super::detector::{self, AdapterArgs, Assumed, BoxArgs, NetworkArgs, fraction
 use super::exit::{Exit, Failure};
 use super::message::tell;
 use super::output::{count, json_line, line};
-use super::picture;
 use super::printable::printable;
 use super::source::{Source, column_width, expand_all};
 
@@ -119,7 +118,8 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
 }
 
 fn compare(detector: &GpuDetector, source: &Source) -> Result<Comparison, Failure> {
-    let picture = picture::read(source)
+    let picture = source
+        .picture()
         .map_err(|message| Failure::new(Exit::Inputs, format!("{source}: {message}")))?;
     verify::compare(detector, &Frame::from(&picture)).map_err(|e| Failure::about(source, &e))
 }

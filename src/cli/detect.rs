@@ -19,7 +19,7 @@ use super::message::tell;
 use super::output::{count, json_line, line};
 use super::printable::printable;
 use super::source::{Source, column_width, expand_all};
-use super::{picture, tensors};
+use super::tensors;
 
 /// Find the snaps in pictures
 ///
@@ -150,7 +150,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let (mut pictures, mut snaps, start) = (0, 0, Instant::now());
     let mut assumed = Assumed::default();
     for source in &sources {
-        let picture = match picture::read(source) {
+        let picture = match source.picture() {
             Ok(picture) => picture,
             Err(message) => {
                 tell(format!("{source}: {message}"));
@@ -158,7 +158,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
                 continue;
             }
         };
-        let (found, stages) = match look(&detector, source, &picture, &args) {
+        let (found, stages) = match detect_one(&detector, source, &picture, &args) {
             Ok(found) => found,
             Err(failure) if failure.is_of_one_picture() => {
                 exit = exit.max(failure.told().exit);
@@ -198,7 +198,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
 }
 
 /// Looks at one picture; the stages' tensors come along if they were asked for.
-fn look(
+fn detect_one(
     detector: &GpuDetector,
     source: &Source,
     picture: &DynamicImage,

@@ -249,7 +249,7 @@ impl AdapterArgs {
     /// As [`choice`](Self::choice), and what the library returns.
     pub fn open(&self, network: &NetworkArgs) -> Result<Arc<Gpu>, Failure> {
         let (adapter, timeout) = (self.choice()?, network.timeout);
-        looked(&Device::Gpu(adapter.clone()))?;
+        resolved(&Device::Gpu(adapter.clone()))?;
         let options = GpuOptions { adapter, timeout, ..GpuOptions::default() };
         Ok(pollster::block_on(Gpu::open(options))?)
     }
@@ -331,7 +331,7 @@ impl DetectorArgs {
 ///
 /// # Errors
 /// [`Exit::Device`] where a GPU is asked for and the drivers crash or hang.
-fn looked(device: &Device) -> Result<Device, Failure> {
+fn resolved(device: &Device) -> Result<Device, Failure> {
     match device {
         Device::Cpu | Device::Reference => Ok(device.clone()),
         Device::Gpu(_) => match probe::adapters(probe::PATIENTLY) {
@@ -354,7 +354,7 @@ fn looked(device: &Device) -> Result<Device, Failure> {
 /// # Errors
 /// What the library returns, and [`Exit::Device`] for drivers that crash or hang.
 pub(super) fn open(mut config: Config) -> Result<GpuDetector, Failure> {
-    config.device = looked(&config.device)?;
+    config.device = resolved(&config.device)?;
     let detector = GpuDetector::new(config)?;
     detector.remarks().iter().for_each(tell);
     Ok(detector)
@@ -403,7 +403,7 @@ impl Assumed {
 /// # Errors
 /// As [`open`].
 pub(super) fn open_gpu(device: &Device) -> Result<Option<Arc<Gpu>>, Failure> {
-    let adapter = match looked(device)? {
+    let adapter = match resolved(device)? {
         Device::Gpu(choice) => choice,
         Device::Auto => AdapterChoice::Hardware,
         Device::Cpu | Device::Reference => return Ok(None),

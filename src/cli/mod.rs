@@ -18,7 +18,6 @@ mod message;
 mod names;
 mod op;
 mod output;
-mod picture;
 mod printable;
 mod probe;
 mod simulate;

@@ -34,11 +34,11 @@ pub(super) fn answer() -> Result<Exit, Failure> {
 /// What became of the drivers, in words.
 pub(super) fn adapters(limit: Duration) -> Result<&'static [Record], &'static str> {
     static FOUND: OnceLock<Result<Vec<Record>, String>> = OnceLock::new();
-    let found = FOUND.get_or_init(|| look(limit));
+    let found = FOUND.get_or_init(|| find(limit));
     found.as_deref().map_err(String::as_str)
 }
 
-fn look(limit: Duration) -> Result<Vec<Record>, String> {
+fn find(limit: Duration) -> Result<Vec<Record>, String> {
     // Where no process is to be had, this one must do.
     let Some(mut child) = start() else { return Ok(Record::all()) };
     let end = Instant::now() + limit;

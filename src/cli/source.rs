@@ -3,7 +3,8 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use smr_gpu::picture::{ENDINGS, has_ending};
+use image::DynamicImage;
+use smr_gpu::picture::{self, ENDINGS, has_ending};
 
 use super::exit::{Exit, Failure};
 use super::message::tell;
@@ -36,6 +37,18 @@ impl From<&Path> for Source {
 }
 
 impl Source {
+    /// Reads its PNG, JPEG, BMP or TIFF picture and turns it upright as its orientation says.
+    ///
+    /// # Errors
+    /// What was expected and what came, without the picture's name.
+    pub fn picture(&self) -> Result<DynamicImage, String> {
+        let result = match self {
+            Self::File(path) => picture::read(path),
+            Self::Stdin => picture::read_from(std::io::stdin().lock()),
+        };
+        result.map_err(|e| e.to_string())
+    }
+
     /// [`base64`] of the file's name.
     pub fn base64(&self) -> Option<String> {
         match self {

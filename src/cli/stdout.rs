@@ -13,7 +13,7 @@ pub(super) fn was_closed() -> bool {
 }
 
 #[cfg(unix)]
-extern "C" fn look() {
+extern "C" fn check() {
     let flags = rustix::io::fcntl_getfd(rustix::stdio::stdout());
     WAS_CLOSED.store(flags == Err(rustix::io::Errno::BADF), Ordering::Relaxed);
 }
@@ -25,4 +25,4 @@ extern "C" fn look() {
 #[used]
 #[cfg_attr(target_vendor = "apple", unsafe(link_section = "__DATA,__mod_init_func"))]
 #[cfg_attr(not(target_vendor = "apple"), unsafe(link_section = ".init_array"))]
-static BEFORE_MAIN: extern "C" fn() = look;
+static BEFORE_MAIN: extern "C" fn() = check;

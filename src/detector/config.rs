@@ -104,8 +104,8 @@ pub struct Config {
     pub gel: Option<Gel>,
     /// Refuse frames whose scale would be assumed.
     pub strict_scale: bool,
-    /// Longer side of the gel in the network's input, in pixels; `None` for the scale that the weights
-    /// know. The input has as many as the next multiple of 32.
+    /// Longer side of the gel in the network's input, in pixels, a multiple of 32; `None` for the scale that the
+    /// weights know.
     pub input_size: Option<usize>,
     /// What is left out where a picture does not need it.
     pub savings: Savings,
@@ -219,6 +219,9 @@ impl Config {
     }
 
     pub(super) fn wanted(&self, model: &ModelConfig) -> Result<Wanted> {
+        if let Some(size) = self.input_size.filter(|size| !ModelConfig::is_input_size(*size)) {
+            return Err(Error::param("detect", "input_size", ModelConfig::INPUT_SIZES, size));
+        }
         let scores = [("score", self.score), ("counts_above", self.asked()), ("iou", self.iou)];
         for (name, value) in scores {
             // A NaN is in no range.

@@ -1,6 +1,6 @@
 //! A user's own sensor, as its file describes it: pictures are drawn as it would take them.
 //!
-//! Raster, the gel's part of it, scale and distortion replace what is drawn by lot; so do the light, if
+//! Frame, the gel's part of it, scale and distortion replace what is drawn by lot; so do the light, if
 //! the file has one, and, if it names a frame without contact, the flat gel's picture: its colours,
 //! texture, print and housing are then those of that frame. Its noise is in it too, and the same in
 //! all pictures. Printed dots on it stay where they are when the gel moves.

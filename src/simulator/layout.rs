@@ -25,7 +25,7 @@ const DEEPEST_MM: f64 = 2.0;
 /// Attempts to place a part.
 const TRIES: u32 = 30;
 
-/// Appearance-alikes and other things, as often as they stand here. [`Part::Clutter`] is none: it is drawn where
+/// Look-alikes and other things, as often as they stand here. [`Part::Clutter`] is none: it is drawn where
 /// it is asked for.
 const PARTS: [Part; 20] = [
     Part::Arm,

@@ -22,7 +22,6 @@ use super::exit::{Exit, Failure, told};
 use super::message::tell;
 use super::names::{base64, shown};
 use super::output::{folder_name, json_line};
-use super::picture;
 use super::source::Source;
 
 /// Longest annotations.json: COCO's own of 118 thousand pictures is half as long.
@@ -237,7 +236,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         gel: !(args.unstated || network.sensor.is_some() || network.gel.is_some()),
     };
     for (number, (name, pictures)) in labels.iter().enumerate() {
-        let set = look_at(&detector, name, pictures, stated, &mut assumed, &progress)?;
+        let set = detect_all(&detector, name, pictures, stated, &mut assumed, &progress)?;
         if let Some(gallery) = &mut gallery {
             let looked_at = set.places.iter().map(|place| &pictures[*place]).zip(&set.seen);
             let sheet = sheet::worst(&looked_at.collect::<Vec<_>>(), &classes, args.conf);
@@ -302,7 +301,7 @@ fn each_once(folders: &[PathBuf]) -> Result<(), Failure> {
 }
 
 /// Detects in all pictures of a set. Those that fail are told of and counted.
-fn look_at(
+fn detect_all(
     detector: &GpuDetector,
     name: &str,
     pictures: &[Labelled],
@@ -312,7 +311,7 @@ fn look_at(
 ) -> Result<Set, Failure> {
     let mut set = Set::named(name);
     for (place, labelled) in pictures.iter().enumerate() {
-        match look(detector, labelled, stated) {
+        match detect_one(detector, labelled, stated) {
             Ok(found) => {
                 for what in assumed.remarks(&labelled.source, &found) {
                     progress.suspend(|| tell(what));
@@ -370,14 +369,14 @@ pub(super) fn read_labels(
     labelled.collect()
 }
 
-fn look(
+fn detect_one(
     detector: &GpuDetector,
     labelled: &Labelled,
     stated: Stated,
 ) -> Result<Detections, Failure> {
     let source = &labelled.source;
     let failed = |message| Failure::new(Exit::Inputs, format!("{source}: {message}"));
-    let picture = picture::read(source).map_err(failed)?;
+    let picture = source.picture().map_err(failed)?;
     let checked = labelled.picture.check_size(picture.width(), picture.height());
     checked.map_err(|e| failed(e.to_string()))?;
     let frame = stated.of(labelled, Frame::from(&picture));

@@ -6,7 +6,6 @@ use smr_gpu::Detection;
 use smr_gpu::evaluation::Seen;
 
 use super::super::draw::Artist;
-use super::super::picture;
 use super::Labelled;
 
 /// Pictures on a sheet, and of these in a row.
@@ -43,7 +42,7 @@ pub(super) fn worst(
         let (x, y) =
             ((number % COLUMNS) as u32 * wide + GAP, (number / COLUMNS) as u32 * high + GAP);
         // It was read a moment ago; if it is gone since, its place stays empty.
-        if let Ok(picture) = picture::read(&labelled.source) {
+        if let Ok(picture) = labelled.source.picture() {
             let scale = f64::from(SIDE) / f64::from(picture.width().max(picture.height()));
             let small = picture.resize(SIDE, SIDE, FilterType::Triangle);
             let scaled = |bbox: [f64; 4]| bbox.map(|v| (v * scale) as f32);

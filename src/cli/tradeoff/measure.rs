@@ -18,7 +18,6 @@ use super::super::detector;
 use super::super::eval::Labelled;
 use super::super::exit::{Exit, Failure};
 use super::super::message::tell;
-use super::super::picture;
 use super::super::source::Source;
 use super::setups::{BATCH, Plan, configured, weights_of};
 use super::{SCORE, peak};
@@ -67,9 +66,11 @@ pub(super) fn measure(
         if stop() {
             break;
         }
-        let picture = picture::read(&labelled.source)
+        let picture = labelled
+            .source
+            .picture()
             .map_err(|e| Failure::new(Exit::Inputs, format!("{}: {e}", labelled.source)))?;
-        let base = look(&reference, labelled, &picture)?;
+        let base = detect_one(&reference, labelled, &picture)?;
         samples.push(Sample { labelled, picture, base });
         progress.inc(1);
     }
@@ -188,7 +189,7 @@ impl Runner {
         };
         let detector = build(setup, false)?;
         // Warm: compiled, uploaded, its buffers there.
-        look(&detector, few[0].labelled, &few[0].picture)?;
+        detect_one(&detector, few[0].labelled, &few[0].picture)?;
         let peak_bytes = match &few[0].labelled.source {
             Source::File(file) => peak::of(setup, file)
                 .inspect_err(|e| tell(format!("no peak memory of {}: {e}", setup.name())))
@@ -244,7 +245,7 @@ fn frame<'a>(labelled: &Labelled, picture: &'a DynamicImage) -> Frame<'a> {
     labelled.picture.state(Frame::from(picture))
 }
 
-fn look(
+fn detect_one(
     detector: &GpuDetector,
     labelled: &Labelled,
     picture: &DynamicImage,

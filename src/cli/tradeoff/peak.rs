@@ -6,10 +6,10 @@ use std::process::{Command, Stdio};
 use smr_gpu::Config;
 use smr_gpu::evaluation::tradeoff::Setup;
 
+use super::super::detector;
 use super::super::exit::{Exit, Failure};
 use super::super::output::line;
 use super::super::source::Source;
-use super::super::{detector, picture};
 use super::setups::{configured, weights_of};
 
 /// Detect in one picture and print the process's peak resident memory in bytes.
@@ -28,7 +28,7 @@ pub(in crate::cli) fn run(args: Args) -> Result<Exit, Failure> {
     let (config, _) = configured(&setup, Config::with_weights(weights_of(&setup)?))?;
     let detector = detector::open(config)?;
     let source = Source::File(args.picture);
-    let picture = picture::read(&source).map_err(|e| Failure::new(Exit::Inputs, e))?;
+    let picture = source.picture().map_err(|e| Failure::new(Exit::Inputs, e))?;
     detector.detect(&picture)?;
     if let Some(bytes) = peak_bytes() {
         line(bytes)?;

@@ -29,7 +29,7 @@ fn stems(folder: &str, extension: &str) -> BTreeSet<String> {
 }
 
 #[test]
-fn every_operation_has_its_four_files() {
+fn every_operation_has_its_five_files() {
     let ops: BTreeSet<String> = OPS.iter().map(|entry| entry.name.to_owned()).collect();
     assert_eq!(ops.len(), OPS.len(), "two operations share a name");
     for folder in ["src/engine/reference", "tests/ops"] {

@@ -20,7 +20,7 @@ pub const MOST_REUSED: u32 = 20;
 const MEAN: u32 = 4;
 
 /// A detector for the frames of one camera in their order, that keeps the detections of the last computed frame
-/// for those that equal it within a sensor's noise. What looks at every frame is [`GpuDetector::detect_many`].
+/// for those that equal it within a sensor's noise. What computes every frame is [`GpuDetector::detect_many`].
 ///
 /// ```no_run
 /// use std::sync::Arc;

@@ -109,7 +109,7 @@ pub struct Config {
     pub input_size: Option<usize>,
     /// What is left out where a picture does not need it.
     pub savings: Savings,
-    /// A frame of the sensor without contact, with which others are compared where `savings` looks for
+    /// A frame of the sensor without contact, with which others are compared where `savings` needs the map of
     /// contact, scaled and cropped as they are; `None` for [`Sensor::reference_frame`]. Without one, or for
     /// frames of another size that are not the sensor's, the frame's own smooth background serves.
     pub reference: Option<Arc<Frame<'static>>>,
@@ -140,12 +140,12 @@ pub struct Config {
     /// in [`GpuDetector::detect_many`], and with [`Savings::regions`].
     pub batch: usize,
     /// How a GPU stores maps and weights. In [`Precision::F16`] they take half the memory, and results are
-    /// less exact; a picture with values past 65504, which is as far as f16 goes, is looked at once more in
+    /// less exact; a picture with values past 65504, which is as far as f16 goes, is computed once more in
     /// f32: see [`Detections::precision`]. The CPU and the reference know no f16.
     pub precision: Precision,
     /// Which kernels run on a GPU; what it does not name is chosen by the adapter's kind.
     pub kernels: KernelChoice,
-    /// Folder in which to look for the kernels that [`crate::verify::tune`] measured on the adapter; it counts
+    /// Folder of the kernels that [`crate::verify::tune`] measured on the adapter; it counts
     /// where `kernels` names nothing.
     pub tuned_kernels: Option<PathBuf>,
     /// Let wgpu check the shaders' bounds (slower; see [`GpuOptions::bounds_checks`]).
@@ -213,7 +213,7 @@ impl Config {
         self.counts_above.unwrap_or(self.score)
     }
 
-    /// Whether a box of this score leaves doubt where less than all was looked at.
+    /// Whether a box of this score leaves doubt where less than all was computed.
     pub(super) fn is_doubtful(&self, score: f32) -> bool {
         self.savings.is_doubtful(score, self.asked())
     }

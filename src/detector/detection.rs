@@ -96,25 +96,25 @@ pub struct Detections {
     /// How a GPU stored maps and weights: f32 also where [`Config::precision`] says f16, but the picture
     /// overflowed that.
     pub precision: Precision,
-    /// Whether something touches the gel; `None` if nobody looked, which [`Savings`] decides. Where nothing
+    /// Whether something touches the gel; `None` if [`Savings`] did not ask. Where nothing
     /// does, the network did not run.
     #[cfg_attr(feature = "serde", serde(default))]
     pub contact: Option<bool>,
-    /// The parts of the frame that the network looked at, with what is in contact; empty where nothing is,
+    /// The parts of the frame that the network ran on, with what is in contact; empty where nothing is,
     /// `None` for all of it.
     #[cfg_attr(feature = "serde", serde(default))]
     pub regions: Option<Vec<Rect>>,
-    /// Whether the network looked, and without its deepest scale, which [`Savings::scales`] leaves out.
+    /// Whether the network ran, and without its deepest scale, which [`Savings::scales`] leaves out.
     #[cfg_attr(feature = "serde", serde(default))]
     pub without_deepest: bool,
-    /// Whether a first look left a box in doubt ([`Savings::doubt`]), so that these are what a second one found
+    /// Whether a first run left a box in doubt ([`Savings::doubt`]), so that these are what a second one found
     /// in all of the picture, with nothing left out.
     #[cfg_attr(feature = "serde", serde(default))]
     pub looked_again: bool,
     /// Whether the frame is as one before it in a stream, so that its detections are that one's.
     #[cfg_attr(feature = "serde", serde(default))]
     pub reused: bool,
-    /// How many proposals the last stage looked at.
+    /// How many proposals the last stage saw.
     pub proposals: u32,
     /// Time by stage on the device; empty where it has no timestamps.
     pub stages: Vec<StageTime>,

@@ -1,4 +1,4 @@
-//! Which parts of the network's input are looked at, and what several parts saw of one snap.
+//! Which parts of the network's input are computed, and what several parts saw of one snap.
 
 use crate::detector::contact_map::TileMap;
 use crate::detector::geometry::{Geometry, Region};

@@ -66,7 +66,7 @@ impl Turns {
     /// # Errors
     /// [`crate::error::Error::Timeout`] past the deadline.
     fn take(&self, deadline: Deadline) -> Result<Turn<'_>> {
-        /// Between two looks at the clock.
+        /// Between two checks of the clock.
         const PAUSE: Duration = Duration::from_millis(10);
         let mut left = lock(&self.left);
         while *left == 0 {

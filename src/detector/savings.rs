@@ -25,7 +25,7 @@ const MOST_PROPOSALS: usize = Wanted::ALL.most_proposals;
 pub struct Savings {
     /// Where nothing touches the gel the network does not run: no snap.
     pub contact: bool,
-    /// The network looks only where something touches the gel, and `margin_mm` round it, in parts that
+    /// The network runs only where something touches the gel, and `margin_mm` round it, in parts that
     /// make up at most `most_of_input` of its input, and of each only at the best `most_proposals`; else at
     /// the whole.
     pub regions: bool,
@@ -42,7 +42,7 @@ pub struct Savings {
     pub most_of_input: f32,
     /// How far on the way from the asked-for [`Config::score`](crate::Config::score), or
     /// [`Config::counts_above`](crate::Config::counts_above), to 0 a box is doubtful that parts show, two scales
-    /// or the best proposals: with nothing left out it may pass, and so the network looks again, at all of the
+    /// or the best proposals: with nothing left out it may pass, and so the network runs again, on all of the
     /// picture. With 0 no box is; from 0 to 1.
     pub doubt: f32,
     /// Proposals of 320 × 320 pixels of the network's input that reach its last part, those of the highest
@@ -71,14 +71,14 @@ impl Savings {
         self.contact || self.regions
     }
 
-    /// What a box's score must be above where detections must be above `score`: where less than all is looked
-    /// at, all that may leave doubt.
+    /// What a box's score must be above where detections must be above `score`: where less than all is
+    /// computed, all that may leave doubt.
     pub(super) fn least_score(&self, score: f32) -> f32 {
         let less = self.regions || self.proposals || self.scales;
         if less { score * (1.0 - self.doubt) } else { score }
     }
 
-    /// Whether a box of this score leaves doubt, where less than all was looked at and detections must be above
+    /// Whether a box of this score leaves doubt, where less than all was computed and detections must be above
     /// `asked`.
     pub(super) fn is_doubtful(&self, score: f32, asked: f32) -> bool {
         score > self.least_score(asked) && score <= asked

@@ -49,10 +49,17 @@ impl PixelFormat {
     /// Bytes of a pixel in a row; of NV12 in a row of luma, and 0 where there are no rows.
     pub fn bytes_per_pixel(self) -> usize {
         match self {
+            Self::Rgb8 | Self::Bgr8 => 3,
+            Self::Rgba8 | Self::Bgra8 => 4,
             Self::Gray16 | Self::Yuyv => 2,
+            Self::Gray8
+            | Self::Nv12
+            | Self::BayerRggb8
+            | Self::BayerBggr8
+            | Self::BayerGrbg8
+            | Self::BayerGbrg8 => 1,
             #[cfg(feature = "picture")]
             Self::Mjpeg => 0,
-            other => other.order().map_or(1, PixelOrder::bytes),
         }
     }
 
@@ -77,17 +84,6 @@ impl PixelFormat {
         }
     }
 
-    /// Column and row, 0 or 1, of the first red pixel of a Bayer pattern; blue is diagonally to it.
-    fn red(self) -> Option<[usize; 2]> {
-        match self {
-            Self::BayerRggb8 => Some([0, 0]),
-            Self::BayerBggr8 => Some([1, 1]),
-            Self::BayerGrbg8 => Some([1, 0]),
-            Self::BayerGbrg8 => Some([0, 1]),
-            _ => None,
-        }
-    }
-
     /// Red, green and blue of a pixel that does not stand for itself, in a checked frame of this width and
     /// height whose rows begin `stride` bytes apart.
     pub(crate) fn converted(
@@ -98,6 +94,7 @@ impl PixelFormat {
         [x, y]: [usize; 2],
     ) -> [u8; 3] {
         let row = |y: usize| &bytes[y * stride..];
+        let bayer = |red| interpolated(red, bytes, stride, size, [x, y]);
         match self {
             Self::Gray16 => {
                 let value = u16::from_le_bytes([row(y)[2 * x], row(y)[2 * x + 1]]);
@@ -111,34 +108,41 @@ impl PixelFormat {
                 let differences = &row(size[1] + y / 2)[x / 2 * 2..];
                 bt601(row(y)[x], differences[0], differences[1])
             }
-            _ => self.interpolated(bytes, stride, size, [x, y]),
+            Self::BayerRggb8 => bayer([0, 0]),
+            Self::BayerBggr8 => bayer([1, 1]),
+            Self::BayerGrbg8 => bayer([1, 0]),
+            Self::BayerGbrg8 => bayer([0, 1]),
+            // Shaders read these by their order.
+            Self::Rgb8 | Self::Bgr8 | Self::Rgba8 | Self::Bgra8 | Self::Gray8 => [0; 3],
+            #[cfg(feature = "picture")]
+            Self::Mjpeg => [0; 3],
         }
     }
+}
 
-    /// The colours of a pixel behind a Bayer filter.
-    fn interpolated(
-        self,
-        bytes: &[u8],
-        stride: usize,
-        size: [usize; 2],
-        at: [usize; 2],
-    ) -> [u8; 3] {
-        let red = self.red().unwrap_or_default();
-        // 0 red, 1 green, 2 blue: one for each axis in which it is not red's.
-        let colour = |[x, y]: [usize; 2]| (x + red[0]) % 2 + (y + red[1]) % 2;
-        let sample = |[x, y]: [usize; 2]| u32::from(bytes[y * stride + x]);
-        let (mut sums, mut counts) = ([0u32; 3], [0u32; 3]);
-        for y in at[1].saturating_sub(1)..(at[1] + 2).min(size[1]) {
-            for x in at[0].saturating_sub(1)..(at[0] + 2).min(size[0]) {
-                sums[colour([x, y])] += sample([x, y]);
-                counts[colour([x, y])] += 1;
-            }
+/// The colours of a pixel behind a Bayer filter whose first red pixel is at the column and row `red`, 0 or 1;
+/// blue is diagonally to it.
+fn interpolated(
+    red: [usize; 2],
+    bytes: &[u8],
+    stride: usize,
+    size: [usize; 2],
+    at: [usize; 2],
+) -> [u8; 3] {
+    // 0 red, 1 green, 2 blue: one for each axis in which it is not red's.
+    let colour = |[x, y]: [usize; 2]| (x + red[0]) % 2 + (y + red[1]) % 2;
+    let sample = |[x, y]: [usize; 2]| u32::from(bytes[y * stride + x]);
+    let (mut sums, mut counts) = ([0u32; 3], [0u32; 3]);
+    for y in at[1].saturating_sub(1)..(at[1] + 2).min(size[1]) {
+        for x in at[0].saturating_sub(1)..(at[0] + 2).min(size[0]) {
+            sums[colour([x, y])] += sample([x, y]);
+            counts[colour([x, y])] += 1;
         }
-        (sums[colour(at)], counts[colour(at)]) = (sample(at), 1);
-        // A frame of a single row or column lacks a colour.
-        let mean = |c: usize| (sums[c] + counts[c] / 2).checked_div(counts[c]).unwrap_or(0);
-        [0, 1, 2].map(|c| mean(c) as u8)
     }
+    (sums[colour(at)], counts[colour(at)]) = (sample(at), 1);
+    // A frame of a single row or column lacks a colour.
+    let mean = |c: usize| (sums[c] + counts[c] / 2).checked_div(counts[c]).unwrap_or(0);
+    [0, 1, 2].map(|c| mean(c) as u8)
 }
 
 /// Red, green and blue of BT.601's luma, 16 to 235, and colour differences, 16 to 240, rounded.

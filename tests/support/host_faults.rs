@@ -400,7 +400,7 @@ pub const FAULTS: &[Fault] = &[
         "exact.or(of_shape.first())", "of_shape.first()",
         "sensor: raw_frames_have_a_gel_and_a_scale_of_their_own"),
     fault("a pattern that begins with green, red for one with green, blue", "sensor/pixel_format",
-        "Some([1, 0])", "Some([0, 1])",
+        "bayer([1, 0])", "bayer([0, 1])",
         "sensor::frame: bayer_patterns_are_interpolated"),
     fault("colours of a mosaic rounded down", "sensor/pixel_format",
         "(sums[c] + counts[c] / 2)", "(sums[c])",

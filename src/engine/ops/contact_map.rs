@@ -13,6 +13,7 @@ pub static ENTRY: Entry = Entry {
     name: "contact_map",
     takes: "cells [3, H, W], levels from 0 to 255; optional: reference [3, H, W]",
     gives: "output u32 [N], a bit for each of ⌈H/2⌉ × ⌈W/2⌉ tiles",
+    // The defaults are for trying it out; a detector sets its own (`src/detector/contact_map.rs`).
     params: &[
         Param::optional("least", "0.01", Range::Number(0.0, f32::MAX)),
         Param::optional("most", "0.04", Range::Number(0.0, f32::MAX)),

@@ -56,7 +56,7 @@ pub(super) struct Args {
     press: bool,
 
     /// Draw the pictures that one sensor takes: `paper`, `gelsight-mini`, `digit` or a sensor file (JSON), as
-    /// `smr-gpu calibrate` writes. Raster, gel, scale, distortion and, if the file has them, light, markers
+    /// `smr-gpu calibrate` writes. Frame, gel, scale, distortion and, if the file has them, light, markers
     /// and the untouched gel's picture are the sensor's. Plain conditions draw all else weakly, but for the
     /// lights' colour, which is grey on some sensors and strong on others.
     #[arg(long, value_name = "NAME|FILE", value_parser = drawable)]

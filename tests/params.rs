@@ -32,9 +32,9 @@ const PROBES: [&str; 13] = [
 /// Whoever adds a parameter says here what it takes.
 const LEGAL: &[(&str, &str, &[&str])] = &[
     ("box_voting", "iou_threshold", &["0", "-0", "0.5", "1e-45"]),
-    ("contact", "least", &["0", "-0", "0.5", "1e38", "1e-45", "4294967295", "4294967296"]),
-    ("contact", "most", &["0", "-0", "0.5", "1e38", "1e-45", "4294967295", "4294967296"]),
-    ("contact", "clipped", &["0", "-0", "0.5", "1e38", "1e-45", "4294967295", "4294967296"]),
+    ("contact_map", "least", &["0", "-0", "0.5", "1e38", "1e-45", "4294967295", "4294967296"]),
+    ("contact_map", "most", &["0", "-0", "0.5", "1e38", "1e-45", "4294967295", "4294967296"]),
+    ("contact_map", "clipped", &["0", "-0", "0.5", "1e38", "1e-45", "4294967295", "4294967296"]),
     ("conv2d", "stride", &[]),
     ("conv2d", "padding", &["0"]),
     ("conv2d", "dilation", &[]),

@@ -130,17 +130,16 @@ checks=(
     --config "$own.debug-assertions=true"
     --config "$own.codegen-units=1"
 )
-# All other tests, the program's again, run on what is released.
+# All other tests, the program's again, run on what is released; tests/ops.rs has every case that
+# `smr-gpu check` has, on the GPU and on cores.
 released=(--test '*')
-check() {
-    "$smr_gpu" check --device gpu
-    "$smr_gpu" check --device cpu
-}
-
 step format cargo fmt --check
 # With what the tests need, so that nothing is built twice; the program is built with them.
-step build cargo test --locked --release "${released[@]}" --no-run
+step build cargo test --locked --release "${checks[@]}" --lib --bins --test cli --no-run
 step adapter have_adapter
+step checked cargo test --locked --release "${checks[@]}" --lib --bins --test cli
+# From here on the program is the released one.
+step released cargo test --locked --release "${released[@]}" --no-run
 step clippy cargo clippy --locked --release --all-targets -- -D warnings
 step features features
 step crates crates
@@ -152,7 +151,3 @@ fi
 # Examples are no tests: clippy has compiled them.
 step tests cargo test --locked --release "${released[@]}"
 step doctests cargo test --locked --release --doc
-step checked cargo test --locked --release "${checks[@]}" --lib --bins --test cli
-# Under its name there is the program with those checks now: put the other one back.
-cargo test --locked --release --no-run --test cli
-step check check

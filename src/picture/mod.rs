@@ -183,6 +183,31 @@ pub fn decode(bytes: &[u8]) -> Result<DynamicImage, Error> {
     })
 }
 
+/// Decodes a grey PNG of 16 bits a pixel, a map of heights, and turns it upright as its orientation says.
+///
+/// # Errors
+/// [`Error`]; [`Error::Unsupported`] for any other picture.
+#[cfg(feature = "simulator")]
+pub fn decode_grey_16(bytes: &[u8]) -> Result<GreyPicture16, Error> {
+    let other = |got: String| Error::Unsupported { expected: GREY_16, got };
+    match Format::of(bytes)? {
+        Format::Png => {}
+        format => return Err(other(format.to_string())),
+    }
+    check_encoded(bytes.len() as u64)?;
+    match guarded(Format::Png, || png::decode_grey_16(bytes))? {
+        DynamicImage::ImageLuma16(map) => Ok(map),
+        picture => Err(other(format!("{:?}", picture.color()))),
+    }
+}
+
+#[cfg(feature = "simulator")]
+const GREY_16: &str = "a grey PNG of 16 bits";
+
+/// A grey picture of 16 bits a pixel.
+#[cfg(feature = "simulator")]
+pub type GreyPicture16 = image::ImageBuffer<image::Luma<u16>, Vec<u16>>;
+
 thread_local! {
     static DECODING: Cell<bool> = const { Cell::new(false) };
 }

@@ -3,12 +3,73 @@
 
 use std::io::Cursor;
 
+use image::metadata::Orientation;
 use image::{DynamicImage, ImageBuffer};
-use png::{BitDepth, ColorType, DecodeOptions, Decoder, DecodingError, Limits, Transformations};
+use png::{
+    BitDepth, ColorType, DecodeOptions, Decoder, DecodingError, Limits, OutputInfo, Transformations,
+};
 
 use super::{Error, Format, MAX_ENCODED, check_size, from_16, orientation};
 
+/// In 8 bits a channel.
 pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, Error> {
+    let Samples { size: (width, height), frame, mut samples, orientation } = read(bytes)?;
+    if frame.bit_depth == BitDepth::Sixteen {
+        // In place: there is no memory for a copy to spare.
+        let count = samples.len() / 2;
+        for i in 0..count {
+            samples[i] = from_16(u16::from_be_bytes([samples[2 * i], samples[2 * i + 1]]));
+        }
+        samples.truncate(count);
+        samples.shrink_to_fit();
+    }
+    let picture = match frame.color_type {
+        ColorType::Grayscale => {
+            ImageBuffer::from_raw(width, height, samples).map(DynamicImage::ImageLuma8)
+        }
+        ColorType::GrayscaleAlpha => {
+            ImageBuffer::from_raw(width, height, samples).map(DynamicImage::ImageLumaA8)
+        }
+        ColorType::Rgb => {
+            ImageBuffer::from_raw(width, height, samples).map(DynamicImage::ImageRgb8)
+        }
+        ColorType::Rgba => {
+            ImageBuffer::from_raw(width, height, samples).map(DynamicImage::ImageRgba8)
+        }
+        // Expanded to one of the above.
+        ColorType::Indexed => None,
+    };
+    upright(picture, orientation)
+}
+
+/// In 16 bits a pixel, which it must have.
+#[cfg(feature = "simulator")]
+pub(super) fn decode_grey_16(bytes: &[u8]) -> Result<DynamicImage, Error> {
+    let Samples { size: (width, height), frame, samples, orientation } = read(bytes)?;
+    if (frame.color_type, frame.bit_depth) != (ColorType::Grayscale, BitDepth::Sixteen) {
+        let got = format!("{:?} of {} bits a channel", frame.color_type, frame.bit_depth as u8);
+        return Err(Error::Unsupported { expected: super::GREY_16, got });
+    }
+    let samples = samples.chunks_exact(2).map(|two| u16::from_be_bytes([two[0], two[1]]));
+    let picture = ImageBuffer::from_raw(width, height, samples.collect());
+    upright(picture.map(DynamicImage::ImageLuma16), orientation)
+}
+
+fn upright(picture: Option<DynamicImage>, to: Orientation) -> Result<DynamicImage, Error> {
+    let mut picture = picture.ok_or_else(|| damaged("pixels of another number".into()))?;
+    picture.apply_orientation(to);
+    Ok(picture)
+}
+
+/// A PNG's samples, each channel's big-endian.
+struct Samples {
+    size: (u32, u32),
+    frame: OutputInfo,
+    samples: Vec<u8>,
+    orientation: Orientation,
+}
+
+fn read(bytes: &[u8]) -> Result<Samples, Error> {
     // Limits what the decoder allocates beside the pixels: a row, chunks.
     let limits = Limits { bytes: MAX_ENCODED as usize };
     // By itself the decoder passes over an orientation whose checksum is wrong.
@@ -36,34 +97,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, Error> {
     }
     reader.finish().map_err(unreadable)?;
     let orientation = orientation(Format::Png, reader.info().exif_metadata.as_deref())?;
-    if frame.bit_depth == BitDepth::Sixteen {
-        // In place: there is no memory for a copy to spare.
-        let count = samples.len() / 2;
-        for i in 0..count {
-            samples[i] = from_16(u16::from_be_bytes([samples[2 * i], samples[2 * i + 1]]));
-        }
-        samples.truncate(count);
-        samples.shrink_to_fit();
-    }
-    let picture = match frame.color_type {
-        ColorType::Grayscale => {
-            ImageBuffer::from_raw(width, height, samples).map(DynamicImage::ImageLuma8)
-        }
-        ColorType::GrayscaleAlpha => {
-            ImageBuffer::from_raw(width, height, samples).map(DynamicImage::ImageLumaA8)
-        }
-        ColorType::Rgb => {
-            ImageBuffer::from_raw(width, height, samples).map(DynamicImage::ImageRgb8)
-        }
-        ColorType::Rgba => {
-            ImageBuffer::from_raw(width, height, samples).map(DynamicImage::ImageRgba8)
-        }
-        // Expanded to one of the above.
-        ColorType::Indexed => None,
-    };
-    let mut picture = picture.ok_or_else(|| damaged("pixels of another number".into()))?;
-    picture.apply_orientation(orientation);
-    Ok(picture)
+    Ok(Samples { size: (width, height), frame, samples, orientation })
 }
 
 fn unreadable(error: DecodingError) -> Error {

@@ -77,6 +77,14 @@ pub enum Error {
     /// A sensor that cannot be, or that cannot be simulated.
     #[error(transparent)]
     Sensor(#[from] crate::error::Error),
+    /// A part's file does not hold a part that can be pressed.
+    #[error("{path}: {source}")]
+    Part {
+        /// The CAD file or height map.
+        path: PathBuf,
+        /// What was expected and what came.
+        source: super::relief::Error,
+    },
     /// Presses do not determine a sensor.
     #[error(
         "{path}: expected presses that determine the {expected} coefficients of each channel, got \

@@ -2,8 +2,9 @@
 //!
 //! | module | step | what it does |
 //! |---|---|---|
-//! | `error` | | typed errors |
 //! | [`outline`], [`pose`], [`raster`], [`options`] | | edges of parts, where they lie, a picture's pixels, what is forced by name |
+//! | [`mesh`], [`relief`] | parts | a part from a CAD file or a height map, as a height field |
+//! | `error` | | typed errors |
 //! | [`gel`], [`contact`], [`shadow`] | mechanics, light | the elastic layer, contact with a rigid body; shadows |
 //! | [`forced`], [`conditions`] | conditions | what differs from sensor to sensor, forced or drawn |
 //! | [`clutter`], [`snaps`], [`distractors`] | parts | height fields of what presses on the gel |
@@ -58,12 +59,14 @@ pub mod label;
 pub mod lamps;
 pub mod layout;
 pub mod markers;
+pub mod mesh;
 pub mod optics;
 pub mod options;
 pub mod outline;
 pub mod pose;
 pub mod press;
 pub mod raster;
+pub mod relief;
 pub mod render;
 pub mod scene;
 pub mod shadow;

@@ -3,7 +3,7 @@
 //! Heights are in millimetres towards the gel. An outline is a signed distance, positive inside.
 
 /// Rise of a side wall over its run: a draft of about 11 degrees, as moulded parts have.
-const WALL_SLOPE: f64 = 5.0;
+pub const WALL_SLOPE: f64 = 5.0;
 
 /// Height of a flat top at 0 with a rounded edge, at `inside` mm from its outline.
 ///

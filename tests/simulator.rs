@@ -28,7 +28,7 @@ use smr_gpu::simulator::optics::{
 use smr_gpu::simulator::options::Drive;
 use smr_gpu::simulator::raster::{FIELD_MM, Raster};
 use smr_gpu::simulator::render::{GRID, Rendered, Renderer, Request, STOP, contact_grid};
-use smr_gpu::simulator::scene::{Body, Mix, Placed, Scene, scene_seed};
+use smr_gpu::simulator::scene::{Body, Mix, Own, Placed, Scene, scene_seed};
 use smr_gpu::simulator::shadow::{Ray, cast};
 use smr_gpu::simulator::smooth;
 use smr_gpu::simulator::snaps::{Kind, Snap, Stud};
@@ -677,7 +677,7 @@ fn both_kinds_have_the_same_footprint() {
     let mean_area = |kind: Kind| {
         let mut rng = Pcg64::seed_from_u64(3);
         let areas = (0..60).map(|_| {
-            let snap = Snap::sample(&mut rng, kind);
+            let snap = Snap::sample(&mut rng, &kind);
             assert_eq!(snap.kind(), kind);
             let mut extent = [f64::INFINITY, f64::INFINITY, -f64::INFINITY, -f64::INFINITY];
             for (x, y) in (-60..60).flat_map(|x| (-60..60).map(move |y| (x, y))) {
@@ -705,7 +705,7 @@ fn both_kinds_have_the_same_footprint() {
 fn snaps_have_their_features() {
     let mut rng = Pcg64::seed_from_u64(11);
     for _ in 0..20 {
-        let Snap::Hook(hook) = Snap::sample(&mut rng, Kind::A) else { panic!("kind A is a hook") };
+        let Snap::Hook(hook) = Snap::sample(&mut rng, &Kind::A) else { panic!("kind A is a hook") };
         assert!((6.0..=10.0).contains(&hook.length) && (3.0..=5.0).contains(&hook.width));
         let snap = Snap::Hook(hook.clone());
         let along: Vec<f64> = (0..200)
@@ -717,7 +717,7 @@ fn snaps_have_their_features() {
         let arm = along.iter().filter(|h| (**h + hook.undercut).abs() < 0.01).count();
         assert!(arm > 60, "the arm takes {arm} of 200");
 
-        let Snap::Stud(stud) = Snap::sample(&mut rng, Kind::B) else { panic!("kind B is a stud") };
+        let Snap::Stud(stud) = Snap::sample(&mut rng, &Kind::B) else { panic!("kind B is a stud") };
         let snap = Snap::Stud(stud.clone());
         assert!(snap.height(0.0, 0.0) < -1.0, "the ring has no hole");
         // Round the ring's crest, the height drops once for each slot.
@@ -741,10 +741,10 @@ fn scenes_follow_their_rules() {
     let mut untouched = 0;
     let mut kinds = BTreeMap::new();
     for seed in 0..400 {
-        let scene = Scene::sample(seed, Mix::Mixed);
+        let scene = Scene::sample(seed, Mix::Mixed, &Own::default());
         empty += usize::from(scene.snaps.is_empty());
         for (i, a) in scene.snaps.iter().enumerate() {
-            *kinds.entry(a.part.kind().name()).or_insert(0) += 1;
+            *kinds.entry(a.part.kind().name().to_owned()).or_insert(0) += 1;
             assert!(a.center_mm.iter().all(|c| c.abs() <= GEL_MM / 2.0));
             for b in &scene.snaps[..i] {
                 let distance =
@@ -752,10 +752,10 @@ fn scenes_follow_their_rules() {
                 assert!(distance > a.part.reach() + b.part.reach());
             }
         }
-        let only = Scene::sample(seed, Mix::A);
+        let only = Scene::sample(seed, Mix::A, &Own::default());
         assert!(!only.snaps.is_empty() && only.snaps.iter().all(|s| s.part.kind() == Kind::A));
-        assert_eq!(scene, Scene::sample(seed, Mix::Mixed));
-        let other = Scene::sample(seed, Mix::None);
+        assert_eq!(scene, Scene::sample(seed, Mix::Mixed, &Own::default()));
+        let other = Scene::sample(seed, Mix::None, &Own::default());
         assert!(other.snaps.is_empty());
         untouched += usize::from(other.distractors.is_empty());
     }
@@ -776,7 +776,7 @@ fn every_snap_that_shows_is_labelled() {
         assert_eq!(rendered.picture.dimensions(), (PICTURE_PX as u32, PICTURE_PX as u32));
         assert!(!rendered.labels.is_empty());
         for label in &rendered.labels {
-            assert_eq!(label.kind, Kind::B);
+            assert_eq!(label.kind, "B");
             let [x0, y0, x1, y1] = label.pixel_box;
             assert!(0.0 <= x0 && x0 < x1 && x1 <= 1000.0 && 0.0 <= y0 && y0 < y1 && y1 <= 1000.0);
             assert!((x1 - x0).max(y1 - y0) * MM_PER_PX >= LEAST_IMPRINT_MM);
@@ -1137,7 +1137,7 @@ fn a_snap_s_visible_share_is_what_the_picture_shows() {
     // From so far that there is no parallax.
     let camera = Camera { distance_mm: 1e6, ..Camera::default() };
     for kind in [Kind::A, Kind::B] {
-        let part = Snap::sample_wide(&mut rng, kind, &Forced::default());
+        let part = Snap::sample_wide(&mut rng, &kind, &Forced::default());
         let place = |x: f64, yaw: f64| Placed {
             part: part.clone(),
             center_mm: [x, 0.0],
@@ -1161,9 +1161,9 @@ fn a_ring_s_bead_and_edges_can_be_forced_with_and_without_slots() {
     let forced: Forced = "bead=0,fillet=0.6".parse().expect("conditions");
     for seed in 0..50 {
         let rng = || Pcg64::seed_from_u64(seed);
-        let stud = |forced: &Forced| match Snap::sample_wide(&mut rng(), Kind::B, forced) {
+        let stud = |forced: &Forced| match Snap::sample_wide(&mut rng(), &Kind::B, forced) {
             Snap::Stud(stud) => stud,
-            Snap::Hook(hook) => panic!("{hook:?}"),
+            other => panic!("{other:?}"),
         };
         let ring = |forced: &Forced| match Distractor::sample_wide(&mut rng(), Part::Ring, forced) {
             Some(Distractor::Ring(ring)) => ring,
@@ -1193,7 +1193,7 @@ fn a_wall_is_not_in_its_hook_s_box() {
     for seed in 0..6 {
         let rng = &mut Pcg64::seed_from_u64(seed);
         let region = [-20.0, -20.0, 20.0, 20.0];
-        let scene = Scene::sample_wide(rng, region, Mix::A, None, &forced);
+        let scene = Scene::sample_wide(rng, region, Mix::A, None, (&forced, &Own::default()));
         assert!(scene.snaps.iter().all(|s| matches!(&s.part, Snap::Hook(h) if h.wall)));
         assert!(scene.distractors.len() >= scene.snaps.len(), "each has its wall");
         let body = scene.body(grid, gel);
@@ -1245,8 +1245,13 @@ fn lookalikes_have_no_label_and_can_be_drawn_alone() {
         assert_eq!(rendered.frame, Raster::GELSIGHT_MINI);
         assert_eq!(rendered.picture.dimensions(), (320, 240));
         let rng = &mut Pcg64::seed_from_u64(3);
-        let scene =
-            Scene::sample_wide(rng, [-10.0, -8.0, 10.0, 8.0], Mix::None, Some(part), &forced);
+        let scene = Scene::sample_wide(
+            rng,
+            [-10.0, -8.0, 10.0, 8.0],
+            Mix::None,
+            Some(part),
+            (&forced, &Own::default()),
+        );
         assert_eq!(scene.distractors.is_empty(), part == Part::Nothing, "{part:?}");
         if let Some(shape) = Distractor::sample_wide(rng, part, &forced) {
             // The highest point is at 0, and the outline is where the part ends.
@@ -1281,7 +1286,7 @@ fn wide_pictures_are_as_their_labels_say() {
             assert!(left <= x0 && x0 < x1 && x1 <= right && top <= y0 && y0 < y1 && y1 <= bottom);
             assert!((x1 - x0).max(y1 - y0) * mm_per_pixel >= LEAST_IMPRINT_MM);
             assert!(label.visible >= 0.25);
-            let is_hook = label.kind == Kind::A;
+            let is_hook = label.kind == "A";
             assert_eq!(label.yaw_deg.is_some(), is_hook);
             assert_eq!(label.slots.is_none(), is_hook);
             assert_eq!(label.hole_mm.is_none(), is_hook);
@@ -1341,8 +1346,9 @@ fn a_snap_is_whole_where_its_box_keeps_off_the_edge() {
 fn a_hook_s_yaw_leads_to_where_the_picture_changes_most() {
     let mut renderer = Renderer::new();
     for seed in 0..6 {
-        let flat = renderer.press(seed, 0, 1, Mix::A).picture;
-        let Rendered { picture, labels, .. } = renderer.press(seed, 200, 2, Mix::A);
+        let flat = renderer.press(seed, 0, 1, &Request::plain(Mix::A)).picture;
+        let Rendered { picture, labels, .. } =
+            renderer.press(seed, 200, 2, &Request::plain(Mix::A));
         let [label] = labels.as_slice() else { panic!("seed {seed}: {labels:?}") };
         let [x0, y0, x1, y1] = label.pixel_box;
         let middle = [(x0 + x1) / 2.0, (y0 + y1) / 2.0];
@@ -1374,13 +1380,13 @@ fn bare_gel_shows_no_part() {
     let out = folder.path().join("set");
     let run = std::process::Command::new(env!("CARGO_BIN_EXE_smr-gpu"))
         .args(["simulate", "--count", "1", "--seed", "1", "--conditions", "wide"])
-        .args(["--kind", "bare", "--part", "block", "--out"])
+        .args(["--kind", "bare", "--look-alike", "block", "--out"])
         .arg(&out)
         .output()
         .expect("the program");
     let message = String::from_utf8_lossy(&run.stderr);
     assert_eq!(run.status.code(), Some(2), "{message}");
-    assert!(message.contains("--part") && message.contains("--kind bare"), "{message}");
+    assert!(message.contains("--look-alike") && message.contains("--kind bare"), "{message}");
     assert!(!out.exists());
 }
 
@@ -1428,11 +1434,11 @@ fn wide_scenes_are_balanced() {
             region,
             Mix::Mixed,
             None,
-            &Forced::default(),
+            (&Forced::default(), &Own::default()),
         );
         without += usize::from(scene.snaps.is_empty());
         for snap in &scene.snaps {
-            *kinds.entry(snap.part.kind().name()).or_insert(0usize) += 1;
+            *kinds.entry(snap.part.kind().name().to_owned()).or_insert(0usize) += 1;
             faint += usize::from(snap.depth_mm < 0.8);
             let [a, b] = snap.part.half_size();
             match &snap.part {
@@ -1449,6 +1455,7 @@ fn wide_scenes_are_balanced() {
                     narrow += usize::from(stud.hole_mm() < 2.5);
                     areas.entry("B").or_default().push(std::f64::consts::PI * a * b);
                 }
+                Snap::Own(part) => panic!("{part:?}"),
             }
         }
     }
@@ -1569,4 +1576,126 @@ fn conditions_are_forced_by_name() {
         let error = text.parse::<Forced>().expect_err(text).to_string();
         assert!(error.contains(text) && error.contains(wanted), "{error}");
     }
+}
+
+/// Boxes in an ASCII STL, each from its least to its greatest corner.
+fn stl_of_boxes(boxes: &[[[f64; 3]; 2]]) -> String {
+    let mut text = String::from("solid part\n");
+    for [low, high] in boxes {
+        let corner = |at: usize| -> [f64; 3] {
+            std::array::from_fn(|axis| if at >> axis & 1 == 1 { high[axis] } else { low[axis] })
+        };
+        // Two triangles a side, counter-clockwise from outside; corners by bits x, y, z.
+        for [a, b, c, d] in
+            [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
+        {
+            for triangle in [[a, b, c], [a, c, d]] {
+                text += "facet normal 0 0 0\nouter loop\n";
+                for [x, y, z] in triangle.map(corner) {
+                    text += &format!("vertex {x} {y} {z}\n");
+                }
+                text += "endloop\nendfacet\n";
+            }
+        }
+    }
+    text + "endsolid part\n"
+}
+
+/// A bar of 8 × 2 mm with two teeth of 2 mm on one side, at its end and in its middle, half as high: nothing
+/// turns it into its mirror image.
+fn comb() -> String {
+    stl_of_boxes(&[
+        [[0.0, 0.0, 0.0], [8.0, 2.0, 2.0]],
+        [[6.0, 1.0, 0.0], [8.0, 4.0, 1.6]],
+        [[2.0, 1.0, 0.0], [4.0, 4.0, 1.6]],
+    ])
+}
+
+fn simulate_parts(folder: &std::path::Path, more: &[&str]) -> std::process::Output {
+    std::process::Command::new(env!("CARGO_BIN_EXE_smr-gpu"))
+        .args(["simulate", "--seed", "5", "--out", "set"])
+        .args(more)
+        .current_dir(folder)
+        .output()
+        .expect("the program")
+}
+
+#[test]
+fn a_part_of_ones_own_is_a_class() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = |name: &str| folder.path().join(name);
+    std::fs::write(file("comb.stl"), comb()).expect("written");
+    let cube = stl_of_boxes(&[[[0.0; 3], [5.0, 5.0, 3.0]]]);
+    std::fs::write(file("cube.stl"), &cube).expect("written");
+    let asked =
+        ["--part", "comb=comb.stl", "--part", "cube=cube.stl", "--part", "A", "--count", "16"];
+    let run = simulate_parts(folder.path(), &asked);
+    let said = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(0), "{said}");
+    assert!(said.contains("comb: 8.00 x 4.00 mm; it has a direction"), "{said}");
+    assert!(
+        said.contains("cube: 5.00 x 5.00 mm; it looks the same after a quarter of a turn"),
+        "{said}"
+    );
+    // A cube is the plain block of its outline, and its own mirror image.
+    assert!(said.contains("cube: a plain block it looks the same, and is left out"), "{said}");
+    assert!(said.contains("cube: mirrored it looks the same"), "{said}");
+    assert!(!said.contains("comb: mirrored"), "{said}");
+    let text = std::fs::read_to_string(file("set/annotations.json")).expect("annotations");
+    let coco: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let names: Vec<_> =
+        (0..3).map(|i| coco["categories"][i]["name"].as_str().expect("a name")).collect();
+    assert_eq!(names, ["comb", "cube", "A"]);
+    let mut seen = BTreeMap::new();
+    for snap in coco["annotations"].as_array().expect("a list") {
+        let (kind, id) = (snap["kind"].as_str().expect("a name"), snap["category_id"].as_u64());
+        assert_eq!(id, names.iter().position(|name| *name == kind).map(|at| at as u64 + 1));
+        assert_eq!(snap["yaw_deg"].is_null(), kind == "cube", "{snap}");
+        // No box is larger than the part's diagonal, with the cells at its edge and parallax.
+        let most =
+            [("comb", 8.95), ("cube", 7.08), ("A", 11.2)].map(|(n, mm)| (n, mm / 0.04 * 1.06));
+        let side = [2, 3].map(|at| snap["bbox"][at].as_f64().expect("a number"));
+        let side = side[0].max(side[1]);
+        assert!(most.iter().any(|(name, px)| *name == kind && side <= *px), "{snap}");
+        *seen.entry(kind).or_insert(0) += 1;
+    }
+    assert_eq!(seen.len(), 3, "{seen:?}");
+    // Another part under the same name is another data set.
+    std::fs::write(file("comb.stl"), &cube).expect("written");
+    let run = simulate_parts(folder.path(), &asked);
+    assert_eq!(run.status.code(), Some(2), "{}", String::from_utf8_lossy(&run.stderr));
+}
+
+#[test]
+fn parts_that_cannot_be_are_named() {
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join("comb.stl"), comb()).expect("written");
+    std::fs::write(folder.path().join("text.stl"), "a letter to somebody").expect("written");
+    std::fs::write(folder.path().join("none.stl"), "solid a\nendsolid a\n").expect("written");
+    let metres = stl_of_boxes(&[[[0.0; 3], [0.008, 0.004, 0.002]]]);
+    std::fs::write(folder.path().join("metres.stl"), metres).expect("written");
+    for (args, code, words) in [
+        (&["--part", "comb"][..], 2, "expected NAME=FILE, A or B"),
+        (&["--part", "=comb.stl"], 2, "expected a name before `=`"),
+        (&["--part", "comb=comb.stl", "--part", "Comb=comb.stl"], 2, "got `Comb` twice"),
+        (&["--part", "comb=comb.stl", "--kind", "a"], 2, "--kind a and b are for A and B"),
+        (&["--part", "comb=comb.stl", "--axis", "w"], 2, "expected x, y, z, -x, -y or -z"),
+        (&["--negative", "comb.stl"], 2, "--part"),
+        (&["--part", "gone=gone.stl"], 1, "gone.stl"),
+        (&["--part", "text=text.stl"], 1, "text.stl: "),
+        (&["--part", "none=none.stl"], 1, "expected triangles, got none"),
+        (&["--part", "metres=metres.stl"], 1, "m would fit"),
+        (&["--part", "comb=comb.txt"], 1, "ends in .stl or .obj"),
+        (&["--part", "map=map.png"], 2, "expected --map-pixel and --map-height"),
+    ] {
+        let run = simulate_parts(folder.path(), &[args, &["--count", "1"][..]].concat());
+        let said = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(code), "{args:?}: {said}");
+        assert!(said.contains(words), "{args:?}: {said}");
+        assert!(!folder.path().join("set").exists(), "{args:?}");
+    }
+    // In metres it is a part.
+    let run =
+        simulate_parts(folder.path(), &["--part", "m=metres.stl", "--unit", "m", "--count", "1"]);
+    assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
 }

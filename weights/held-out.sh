@@ -16,7 +16,7 @@ snaps() {
     set_of "$name" "$seed" 200 --conditions wide "$@"
 }
 look_alike() {
-    set_of "$1" "$2" 100 --conditions wide --kind none --part "$3"
+    set_of "$1" "$2" 100 --conditions wide --kind none --look-alike "$3"
 }
 
 # The paper's sensor.

@@ -18,6 +18,7 @@ mod message;
 mod names;
 mod op;
 mod output;
+mod parts;
 mod printable;
 mod probe;
 mod simulate;

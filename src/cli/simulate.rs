@@ -19,6 +19,7 @@ use super::detector::sensor;
 use super::exit::{Exit, Failure};
 use super::message::tell;
 use super::output;
+use super::parts::{self, CadArgs, PartArg, part};
 
 /// Simulate pictures of snaps pressed into the sensor's gel
 ///
@@ -52,7 +53,7 @@ pub(super) struct Args {
 
     /// Draw the frames of one press in their order, 500 for each: a snap comes, presses, rests, slides and
     /// goes, under light that drifts (plain conditions).
-    #[arg(long, conflicts_with_all = ["sensor", "part", "force"])]
+    #[arg(long, conflicts_with_all = ["sensor", "look_alike", "force"])]
     press: bool,
 
     /// Draw the pictures that one sensor takes: `paper`, `gelsight-mini`, `digit` or a sensor file (JSON), as
@@ -62,9 +63,23 @@ pub(super) struct Args {
     #[arg(long, value_name = "NAME|FILE", value_parser = drawable)]
     sensor: Option<Sensor>,
 
+    /// A class of snaps of your own, several times for several: its name, and its part from a CAD file (STL,
+    /// OBJ) or a height map (PNG of 16 bits). `A` and `B` may be among them, which else they replace. What is
+    /// easily taken for a part is drawn too, without a label: its outline as a plain block, the part without
+    /// its top third, and its mirror image.
+    #[arg(long, value_name = "NAME=FILE|A|B", value_parser = part)]
+    part: Vec<PartArg>,
+
+    /// A shape that is no snap, several times for several: a file as for --part.
+    #[arg(long, value_name = "FILE", requires = "part")]
+    negative: Vec<PathBuf>,
+
+    #[command(flatten)]
+    cad: CadArgs,
+
     /// Narrow what is no snap to one kind (wide conditions, or a sensor's).
     #[arg(long, value_enum)]
-    part: Option<Part>,
+    look_alike: Option<Part>,
 
     /// Set conditions for all pictures, KEY or KEY=VALUE, separated by commas (wide conditions, or a sensor's).
     ///
@@ -135,18 +150,20 @@ fn drawable(text: &str) -> Result<Sensor, String> {
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    let Args { out, count, seed, kind, conditions, press, sensor, part, mut force } = args;
+    let Args { out, count, seed, kind, conditions, press, sensor, look_alike, mut force, .. } =
+        args;
     let plain = conditions == Conditions::Plain;
-    if plain && sensor.is_none() && (part.is_some() || force != Forced::default()) {
-        return Err(Failure::usage("--part and --force need --conditions wide or --sensor"));
+    if plain && sensor.is_none() && (look_alike.is_some() || force != Forced::default()) {
+        return Err(Failure::usage("--look-alike and --force need --conditions wide or --sensor"));
     }
     if press && (!plain || matches!(kind, Mix::None | Mix::Bare)) {
         return Err(Failure::usage(
             "--press needs --conditions plain and a snap: --kind a, b or mixed",
         ));
     }
-    if part.is_some() && kind == Mix::Bare {
-        return Err(Failure::usage("--part needs a --kind that shows parts, not --kind bare"));
+    if look_alike.is_some() && kind == Mix::Bare {
+        let message = "--look-alike needs a --kind that shows parts, not --kind bare";
+        return Err(Failure::usage(message));
     }
     let sensor = sensor.map(Given::new).transpose();
     let sensor = sensor.map_err(|e| Failure::new(Exit::Inputs, e))?.map(Arc::new);
@@ -161,7 +178,14 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         true => Distribution::Plain,
         false => Distribution::Wide,
     };
-    let request = Request { mix: kind, conditions, part, forced: force, sensor, press };
+    let own = parts::own(&args.part, &args.negative, &args.cad)?;
+    if !own.classes.is_empty() && matches!(kind, Mix::A | Mix::B) {
+        return Err(Failure::usage(
+            "--kind a and b are for A and B: with --part, mixed, none or bare",
+        ));
+    }
+    let request =
+        Request { mix: kind, conditions, part: look_alike, forced: force, sensor, press, own };
     let settings = Settings { out, count: count as usize, seed, request };
     let bar = ProgressBar::new(count.into());
     let style = ProgressStyle::with_template("{msg} {bar:40} {pos}/{len} pictures, {eta} left");

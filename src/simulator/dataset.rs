@@ -32,6 +32,7 @@ use super::distractors::Part;
 use super::forced::Forced;
 use super::label::Label;
 use super::raster::Raster;
+use super::relief::Relief;
 use super::render::{Rendered, Renderer, Request};
 use super::scene::{Mix, scene_seed};
 use super::snaps::Kind;
@@ -109,11 +110,32 @@ struct Origin {
     sensor: Option<Sensor>,
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     press: bool,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    classes: Vec<OwnClass>,
+    /// Digests of shapes that are no snaps.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    negatives: Vec<String>,
+}
+
+/// A class of one's own, as a folder was made with it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct OwnClass {
+    name: String,
+    /// Of its heights; none for A and B.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    digest: Option<String>,
 }
 
 impl Origin {
     fn of(settings: &Settings) -> Self {
-        let Request { mix, conditions, part, forced, sensor, press } = &settings.request;
+        let Request { mix, conditions, part, forced, sensor, press, own } = &settings.request;
+        let class = |kind: &Kind| OwnClass {
+            name: kind.name().to_owned(),
+            digest: match kind {
+                Kind::Own(part) => Some(digest(&part.relief)),
+                Kind::A | Kind::B => None,
+            },
+        };
         Self {
             seed: settings.seed,
             kind: *mix,
@@ -123,8 +145,14 @@ impl Origin {
             forced: forced.clone(),
             sensor: sensor.as_ref().map(|given| given.sensor().clone()),
             press: *press,
+            classes: own.classes.iter().map(class).collect(),
+            negatives: own.negatives.iter().map(|relief| digest(relief)).collect(),
         }
     }
+}
+
+fn digest(relief: &Relief) -> String {
+    format!("{:016x}", relief.digest())
 }
 
 /// Raised when the same seed would give another picture.
@@ -197,7 +225,7 @@ fn simulate_here(
     missing.try_for_each_init(Renderer::new, |renderer, i| {
         let scene_seed = scene_seed(settings.seed, i as u64);
         let rendered = match settings.request.press {
-            true => renderer.press(settings.seed, i, scene_seed, settings.request.mix),
+            true => renderer.press(settings.seed, i, scene_seed, &settings.request),
             false => renderer.render(scene_seed, &settings.request)?,
         };
         let Rendered { picture, frame, conditions, labels: snaps } = rendered;
@@ -456,7 +484,7 @@ fn encode(path: &Path, picture: &RgbImage) -> Result<Vec<u8>, Error> {
 #[derive(Serialize)]
 struct Coco {
     info: CocoInfo,
-    categories: [CocoCategory; 2],
+    categories: Vec<CocoCategory>,
     images: Vec<CocoImage>,
     annotations: Vec<CocoAnnotation>,
 }
@@ -471,7 +499,7 @@ struct CocoInfo {
 #[derive(Serialize)]
 struct CocoCategory {
     id: u32,
-    name: &'static str,
+    name: String,
     supercategory: &'static str,
 }
 
@@ -499,7 +527,7 @@ struct CocoAnnotation {
     /// The box's area in square pixels.
     area: f64,
     iscrowd: u32,
-    kind: &'static str,
+    kind: String,
     /// Direction in which A's barbed tip points; none for B.
     yaw_deg: Option<f64>,
     depth_mm: f64,
@@ -519,16 +547,18 @@ fn rounded(value: f64) -> f64 {
 }
 
 fn write_annotations(settings: &Settings, labels: &Path) -> Result<usize, Error> {
+    let own = &settings.request.own.classes;
+    let classes = if own.is_empty() { &[Kind::A, Kind::B][..] } else { own };
+    let names: Vec<String> = classes.iter().map(|kind| kind.name().to_owned()).collect();
     let mut coco = Coco {
         info: CocoInfo {
             description: "simulated tactile pictures of snap joints",
             origin: Origin::of(settings),
         },
-        categories: [Kind::A, Kind::B].map(|kind| CocoCategory {
-            id: kind.category_id(),
-            name: kind.name(),
-            supercategory: "snap",
-        }),
+        categories: (1..)
+            .zip(&names)
+            .map(|(id, name)| CocoCategory { id, name: name.clone(), supercategory: "snap" })
+            .collect(),
         images: Vec::with_capacity(settings.count),
         annotations: Vec::new(),
     };
@@ -552,14 +582,21 @@ fn write_annotations(settings: &Settings, labels: &Path) -> Result<usize, Error>
         });
         for snap in sidecar.snaps {
             let [x0, y0, x1, y1] = snap.pixel_box;
+            let at = names.iter().position(|name| *name == snap.kind);
+            let at = at.ok_or_else(|| Error::Content {
+                path: label_path(labels, id),
+                expected: format!("snaps of {}", names.join(", ")),
+                found: snap.kind.clone(),
+            })?;
+            let category_id = at as u32 + 1;
             coco.annotations.push(CocoAnnotation {
                 id: coco.annotations.len() + 1,
                 image_id: id,
-                category_id: snap.kind.category_id(),
+                category_id,
                 bbox: [x0, y0, x1 - x0, y1 - y0].map(rounded),
                 area: rounded((x1 - x0) * (y1 - y0)),
                 iscrowd: 0,
-                kind: snap.kind.name(),
+                kind: snap.kind,
                 yaw_deg: snap.yaw_deg.map(rounded),
                 depth_mm: rounded(snap.depth_mm),
                 center_mm: snap.center_mm.map(rounded),
@@ -587,7 +624,7 @@ mod tests {
         let area = 1234.5678;
         let written = |area_px: f64| {
             let label = Label {
-                kind: Kind::A,
+                kind: "A".to_owned(),
                 pixel_box: [0.1 + 0.2, 1e-12, 640.0, area_px / 10.0],
                 area_px,
                 yaw_deg: Some(area_px / 100.0),

@@ -1,5 +1,7 @@
 //! Rigid things that press on the gel and are no snaps.
 
+use std::sync::Arc;
+
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
@@ -7,6 +9,7 @@ use super::clutter::Clutter;
 use super::forced::Forced;
 use super::options::Drive;
 use super::outline::{rectangle, rounded_edge, smooth_min, stroke};
+use super::relief::Relief;
 use super::snaps::Stud;
 
 /// A line from point to point, in millimetres.
@@ -139,6 +142,8 @@ pub enum Distractor {
     },
     /// A thing of no known kind.
     Clutter(Clutter),
+    /// A shape from a file.
+    Relief(Arc<Relief>),
     /// Raised letters.
     Lettering {
         /// The letters' strokes.
@@ -352,6 +357,7 @@ impl Distractor {
             }
             Self::Ring(stud) => stud.height(x, y),
             Self::Clutter(thing) => thing.height(x, y),
+            Self::Relief(relief) => relief.height(x, y),
             Self::Nut { half_width, hole, chamfer } => {
                 let r = x.hypot(y);
                 let inside = (half_width - hexagon(x, y)).min(r - hole);
@@ -393,6 +399,7 @@ impl Distractor {
             }
             Self::Ring(stud) => Some([stud.diameter / 2.0, stud.diameter / stud.oval / 2.0]),
             Self::Clutter(thing) => Some(thing.half_size()),
+            Self::Relief(relief) => Some(relief.half_size()),
             Self::Nut { half_width, .. } => Some([half_width / 0.75f64.sqrt(), *half_width]),
             Self::Lettering { half, half_width, .. } => {
                 Some([half[0] + half_width, half[1] + half_width])

@@ -7,7 +7,7 @@ use super::contact::Contact;
 use super::gel::Grid;
 use super::raster::PixelBox;
 use super::scene::{Body, Placed};
-use super::snaps::{Kind, Snap};
+use super::snaps::Snap;
 
 /// An imprint's longer side must be at least this, in millimetres, or the scene is drawn anew: no
 /// snap is visible without a label.
@@ -16,14 +16,15 @@ pub const LEAST_IMPRINT_MM: f64 = 1.5;
 /// A labelled snap.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Label {
-    /// Its kind.
-    pub kind: Kind,
+    /// Name of its kind.
+    pub kind: String,
     /// Box round the imprint, `x0, y0, x1, y1` in pixels.
     pub pixel_box: PixelBox,
     /// Area in contact, in square pixels.
     pub area_px: f64,
     /// For A the direction from the root of the arm to its barbed tip, from x towards y, in degrees
-    /// from −180 to below 180; also of a hook on its side. B has none.
+    /// from −180 to below 180; also of a hook on its side. B has none. Of one's own part the turn of its x, if
+    /// it looks the same after no other.
     pub yaw_deg: Option<f64>,
     /// Depth of the highest point below the undeformed surface if the snap were not tilted, in
     /// millimetres: tilt takes the deepest point some tenths of a millimetre further.
@@ -149,12 +150,18 @@ fn label(
     let (hook, stud) = match &snap.part {
         Snap::Hook(hook) => (Some(hook), None),
         Snap::Stud(stud) => (None, Some(stud)),
+        Snap::Own(_) => (None, None),
     };
+    let yaw_deg = snap.yaw.to_degrees();
     Some(Label {
-        kind: snap.part.kind(),
+        kind: snap.part.kind().name().to_owned(),
         pixel_box: imprint.pixel_box,
         area_px: imprint.area_px,
-        yaw_deg: hook.map(|_| snap.yaw.to_degrees()),
+        yaw_deg: match &snap.part {
+            Snap::Hook(_) => Some(yaw_deg),
+            Snap::Stud(_) => None,
+            Snap::Own(part) => part.direction(yaw_deg),
+        },
         depth_mm: snap.depth_mm,
         center_mm: camera.flat_place(0.5 * (x0 + x1), 0.5 * (y0 + y1)),
         whole: visible == 1.0,
@@ -177,6 +184,7 @@ mod tests {
     use crate::simulator::raster::Raster;
     use crate::simulator::scene::Scene;
     use crate::simulator::smooth;
+    use crate::simulator::snaps::Kind;
 
     /// The label of a snap on a gel of 16 mm at the right of a frame of 32 mm, seen through a lens that
     /// bends its corners by a fifth; how deep the gel goes, and the middle of what goes deepest in pixels.
@@ -185,7 +193,7 @@ mod tests {
         let mut camera = Camera { frame, distortion: 0.2, ..Camera::default() };
         let window = [320.0, 80.0, 640.0, 400.0];
         camera.origin_mm = camera.flat_place(480.0, 240.0);
-        let part = Snap::sample(&mut Pcg64::seed_from_u64(1), kind);
+        let part = Snap::sample(&mut Pcg64::seed_from_u64(1), &kind);
         let snap = Placed { part, center_mm, yaw, tilt: [0.0; 2], depth_mm: 1.1 };
         let scene = Scene { snaps: vec![snap], distractors: Vec::new() };
         let grid = Grid { cells: 512, spacing_mm: 0.06 };

@@ -11,7 +11,7 @@ use rand_pcg::Pcg64;
 
 use super::distractors::{Distractor, Part};
 use super::forced::Forced;
-use super::scene::{Mix, Placed, Scene, sample_tilt, sample_yaw};
+use super::scene::{Mix, Own, Placed, Scene, sample_tilt, sample_yaw};
 use super::snaps::{Hook, Kind, Snap};
 
 /// Share of mixed pictures without a snap.
@@ -102,6 +102,7 @@ fn footprint(placed: &Placed<Distractor>) -> Footprint {
 struct Layout<'a> {
     rng: &'a mut Pcg64,
     forced: &'a Forced,
+    own: &'a Own,
     visible: Region,
     scene: Scene,
     taken: Vec<Footprint>,
@@ -116,10 +117,10 @@ impl Scene {
         visible: Region,
         mix: Mix,
         part: Option<Part>,
-        forced: &Forced,
+        (forced, own): (&Forced, &Own),
     ) -> Self {
         let scene = Self { snaps: Vec::new(), distractors: Vec::new() };
-        let mut layout = Layout { rng, forced, visible, scene, taken: Vec::new() };
+        let mut layout = Layout { rng, forced, own, visible, scene, taken: Vec::new() };
         layout.fill(mix, part);
         layout.scene
     }
@@ -156,8 +157,8 @@ impl Layout<'_> {
             _ => 4,
         };
         for _ in 0..count.min(room) {
-            let kind = mix.kind(self.rng);
-            self.add_snap(kind);
+            let kind = mix.kind(self.rng, &self.own.classes);
+            self.add_snap(&kind);
         }
         let touching = self.rng.random_bool(0.15) && !self.forced.mild;
         if self.forced.touching.unwrap_or(touching) {
@@ -210,7 +211,7 @@ impl Layout<'_> {
         self.taken.iter().all(|other| other.gap(footprint) > CLEARANCE_MM)
     }
 
-    fn add_snap(&mut self, kind: Kind) {
+    fn add_snap(&mut self, kind: &Kind) {
         let mut part = Snap::sample_wide(self.rng, kind, self.forced);
         let mut depth_mm = part.sample_wide_depth(self.rng);
         if self.forced.leaves_parts_plain() {
@@ -308,7 +309,13 @@ impl Layout<'_> {
     }
 
     fn add_other(&mut self, part: Part) {
-        let Some(shape) = Distractor::sample_wide(self.rng, part, self.forced) else { return };
+        let negatives = &self.own.negatives;
+        let is_own = !negatives.is_empty() && self.rng.random_bool(0.5);
+        let shape = match is_own {
+            true => negatives.choose(self.rng).map(|relief| Distractor::Relief(relief.clone())),
+            false => Distractor::sample_wide(self.rng, part, self.forced),
+        };
+        let Some(shape) = shape else { return };
         let depth_mm = match shape {
             // A ball is calibrated with: as deep as its half sphere, so that its whole outline shows.
             Distractor::Pin { radius, .. } if part == Part::Ball && self.rng.random_bool(0.6) => {

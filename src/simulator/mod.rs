@@ -3,7 +3,7 @@
 //! | module | step | what it does |
 //! |---|---|---|
 //! | [`outline`], [`pose`], [`raster`], [`options`] | | edges of parts, where they lie, a picture's pixels, what is forced by name |
-//! | [`mesh`], [`relief`] | parts | a part from a CAD file or a height map, as a height field |
+//! | [`mesh`], [`relief`], [`own_part`] | parts | a part from a CAD file or a height map, as a height field; the class that it makes |
 //! | `error` | | typed errors |
 //! | [`gel`], [`contact`], [`shadow`] | mechanics, light | the elastic layer, contact with a rigid body; shadows |
 //! | [`forced`], [`conditions`] | conditions | what differs from sensor to sensor, forced or drawn |
@@ -63,6 +63,7 @@ pub mod mesh;
 pub mod optics;
 pub mod options;
 pub mod outline;
+pub mod own_part;
 pub mod pose;
 pub mod press;
 pub mod raster;

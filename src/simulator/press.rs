@@ -7,7 +7,7 @@ use rand_pcg::Pcg64;
 
 use super::appearance::Appearance;
 use super::camera::Camera;
-use super::scene::{Mix, Placed, Scene, sample_tilt, sample_yaw};
+use super::scene::{Mix, Own, Placed, Scene, sample_tilt, sample_yaw};
 use super::snaps::Snap;
 
 /// Last frame of each phase and one: nothing yet, pressing, at rest, sliding, at rest, going; then nothing
@@ -38,11 +38,11 @@ impl Press {
     /// Frames of a press: 12 s at the 41 a second of the paper's camera.
     pub const FRAMES: usize = 500;
 
-    /// Draws a press: of A, of B, or of either.
-    pub fn sample(seed: u64, mix: Mix) -> Self {
+    /// Draws a press: of A, of B, or of any class.
+    pub fn sample(seed: u64, mix: Mix, own: &Own) -> Self {
         let rng = &mut Pcg64::seed_from_u64(seed);
-        let kind = mix.kind(rng);
-        let part = Snap::sample(rng, kind);
+        let kind = mix.kind(rng, &own.classes);
+        let part = Snap::sample(rng, &kind);
         let depth_mm = part.sample_depth(rng);
         let (tilt, yaw) = (sample_tilt(rng, 2.5), sample_yaw(rng));
         let center_mm = [(); 2].map(|()| rng.random_range(-START_MM..START_MM));
@@ -94,7 +94,7 @@ mod tests {
 
     #[test]
     fn a_press_comes_slides_and_goes() {
-        let press = Press::sample(1, Mix::A);
+        let press = Press::sample(1, Mix::A, &Own::default());
         let snap = |frame| press.at(frame).0.snaps.first().cloned();
         assert_eq!([0, 100, 430, 499].map(|frame| snap(frame).is_some()), [false; 4]);
         let [early, deep, rest] = [130, 160, 250].map(|frame| snap(frame).expect("a snap"));

@@ -21,7 +21,7 @@ use super::options::{Mechanics, Optics};
 use super::press::Press;
 use super::raster::PixelBox;
 use super::raster::Raster;
-use super::scene::{Mix, Scene, scene_seed};
+use super::scene::{Mix, Own, Scene, scene_seed};
 use super::smooth;
 use super::surface::Surface;
 
@@ -63,6 +63,8 @@ pub struct Request {
     pub sensor: Option<Arc<Given>>,
     /// Whether the pictures are the frames of [`Press`]es; plain ones only.
     pub press: bool,
+    /// Classes of one's own in place of A and B.
+    pub own: Own,
 }
 
 impl Request {
@@ -128,7 +130,7 @@ impl Renderer {
     /// [`Error::NoScene`] if no scene drawn from the seed shows all of its snaps.
     pub fn render(&mut self, seed: u64, request: &Request) -> Result<Rendered, Error> {
         if request.conditions == Distribution::Plain {
-            return self.plain(seed, request.mix);
+            return self.plain(seed, request);
         }
         // Streams of their own, so that what is forced in one leaves what the others draw; within its own
         // it may change what is drawn after it.
@@ -139,7 +141,7 @@ impl Renderer {
         let forced = sensor_forced.as_ref().unwrap_or(&request.forced);
         let free = request.part.is_none() && *forced == Forced::default();
         if choice.random_bool(PLAIN_SHARE) && free {
-            return self.plain(choice.random_range(0..u64::MAX), request.mix);
+            return self.plain(choice.random_range(0..u64::MAX), request);
         }
         let (frame, mut conditions) = Conditions::sample(&mut conditions, forced);
         if let Some(given) = &request.sensor {
@@ -149,10 +151,10 @@ impl Renderer {
     }
 
     /// Renders a frame of the presses of this seed, the first [`Press::FRAMES`] of one, the next of another;
-    /// `noise` is the frame's own seed. Of kind A for [`Mix::A`], B for [`Mix::B`], else either.
-    pub fn press(&mut self, seed: u64, frame: usize, noise: u64, mix: Mix) -> Rendered {
+    /// `noise` is the frame's own seed.
+    pub fn press(&mut self, seed: u64, frame: usize, noise: u64, request: &Request) -> Rendered {
         let (number, frame) = (frame / Press::FRAMES, frame % Press::FRAMES);
-        let press = Press::sample(scene_seed(seed, number as u64), mix);
+        let press = Press::sample(scene_seed(seed, number as u64), request.mix, &request.own);
         let plan = self.plain.get_or_insert_with(|| Plan::new(Layer::default(), GRID));
         let (scene, look) = press.at(frame);
         let [width, height] = look.camera.frame.size_px();
@@ -169,7 +171,8 @@ impl Renderer {
         Rendered { picture, frame: look.camera.frame, conditions, labels }
     }
 
-    fn plain(&mut self, seed: u64, mix: Mix) -> Result<Rendered, Error> {
+    fn plain(&mut self, seed: u64, request: &Request) -> Result<Rendered, Error> {
+        let mix = request.mix;
         let frame = Raster::PAPER;
         let plan = self.plain.get_or_insert_with(|| Plan::new(Layer::default(), GRID));
         let mut rng = Pcg64::seed_from_u64(seed);
@@ -177,7 +180,7 @@ impl Renderer {
         let [width, height] = frame.size_px();
         let window = [0.0, 0.0, width, height];
         for _ in 0..ATTEMPTS {
-            let scene = Scene::sample(rng.random_range(0..u64::MAX), mix);
+            let scene = Scene::sample(rng.random_range(0..u64::MAX), mix, &request.own);
             if matches!(mix, Mix::A | Mix::B) && scene.snaps.is_empty() {
                 continue;
             }
@@ -244,8 +247,13 @@ impl Renderer {
         let falloff_mm = sensor.random_range(0.1f64..0.8);
         for _ in 0..ATTEMPTS {
             let rng = &mut Pcg64::seed_from_u64(scenes.random_range(0..u64::MAX));
-            let scene =
-                Scene::sample_wide(rng, visible, request.mix, request.part, &request.forced);
+            let scene = Scene::sample_wide(
+                rng,
+                visible,
+                request.mix,
+                request.part,
+                (&request.forced, &request.own),
+            );
             if matches!(request.mix, Mix::A | Mix::B) && scene.snaps.is_empty() {
                 continue;
             }

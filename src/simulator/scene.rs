@@ -1,5 +1,7 @@
 //! What is pressed into the gel: drawn from a seed, laid out without overlaps.
 
+use std::sync::Arc;
+
 use glam::DVec2;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -9,6 +11,7 @@ use super::distractors::Distractor;
 use super::gel::Grid;
 use super::pose::Pose;
 use super::raster::Raster;
+use super::relief::Relief;
 use super::snaps::{Kind, Snap};
 
 /// Side of the paper's gel in millimetres: plain scenes lie on it.
@@ -75,15 +78,25 @@ pub enum Mix {
 }
 
 impl Mix {
-    /// Draws a snap's kind.
-    pub(super) fn kind(self, rng: &mut Pcg64) -> Kind {
+    /// Draws a snap's kind: of `classes`, if there are any, else A or B.
+    pub(super) fn kind(self, rng: &mut Pcg64, classes: &[Kind]) -> Kind {
         match self {
             Self::A => Kind::A,
             Self::B => Kind::B,
+            _ if !classes.is_empty() => classes[rng.random_range(0..classes.len())].clone(),
             Self::Mixed | Self::None | Self::Bare if rng.random_bool(0.5) => Kind::A,
             Self::Mixed | Self::None | Self::Bare => Kind::B,
         }
     }
+}
+
+/// A user's own classes and what else is taken for them.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Own {
+    /// The classes in their order; none for A and B.
+    pub classes: Vec<Kind>,
+    /// Shapes that are no snaps.
+    pub negatives: Vec<Arc<Relief>>,
 }
 
 /// Everything that touches the gel.
@@ -106,7 +119,7 @@ pub struct Body {
 
 impl Scene {
     /// Draws a plain scene.
-    pub fn sample(seed: u64, mix: Mix) -> Self {
+    pub fn sample(seed: u64, mix: Mix, own: &Own) -> Self {
         let rng = &mut Pcg64::seed_from_u64(seed);
         let mut scene = Self { snaps: Vec::new(), distractors: Vec::new() };
         let count = match rng.random_range(0..100) {
@@ -118,8 +131,8 @@ impl Scene {
             _ => 4,
         };
         for _ in 0..count {
-            let kind = mix.kind(rng);
-            scene.add_snap(rng, kind);
+            let kind = mix.kind(rng, &own.classes);
+            scene.add_snap(rng, &kind);
         }
         let touched = match mix {
             Mix::Bare => 0.0,
@@ -129,6 +142,10 @@ impl Scene {
         let count = if rng.random_bool(touched) { rng.random_range(1..=3) } else { 0 };
         for _ in 0..count {
             let part = match mix {
+                _ if !own.negatives.is_empty() && rng.random_bool(0.5) => {
+                    let at = rng.random_range(0..own.negatives.len());
+                    Distractor::Relief(own.negatives[at].clone())
+                }
                 Mix::None if rng.random_bool(0.3) => Distractor::ball(rng),
                 _ => Distractor::sample(rng),
             };
@@ -137,7 +154,7 @@ impl Scene {
         scene
     }
 
-    fn add_snap(&mut self, rng: &mut Pcg64, kind: Kind) {
+    fn add_snap(&mut self, rng: &mut Pcg64, kind: &Kind) {
         let part = Snap::sample(rng, kind);
         let reach = part.reach();
         let depth_mm = part.sample_depth(rng);

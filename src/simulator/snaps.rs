@@ -10,36 +10,33 @@
 //! and barbs, hooks that lie on their side so that their profile presses, studs of 2, 3, 4 and 6
 //! slots, with thin and thick walls and small holes.
 
+use std::sync::Arc;
+
 use rand::RngExt;
 use rand_pcg::Pcg64;
-use serde::{Deserialize, Serialize};
 
 use super::forced::{Forced, Span};
 use super::outline::{rectangle, rounded_edge, smooth_min};
+use super::own_part::OwnPart;
 
 /// A kind of snap joint.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Kind {
     /// Cantilever hook.
     A,
     /// Annular split-ring stud.
     B,
+    /// A part of one's own.
+    Own(Arc<OwnPart>),
 }
 
 impl Kind {
-    /// The category's number in COCO files.
-    pub fn category_id(self) -> u32 {
-        match self {
-            Self::A => 1,
-            Self::B => 2,
-        }
-    }
-
-    /// The category's name.
-    pub fn name(self) -> &'static str {
+    /// Its name, the class's.
+    pub fn name(&self) -> &str {
         match self {
             Self::A => "A",
             Self::B => "B",
+            Self::Own(part) => &part.name,
         }
     }
 }
@@ -360,14 +357,17 @@ pub enum Snap {
     Hook(Hook),
     /// Kind B.
     Stud(Stud),
+    /// A part of one's own.
+    Own(Arc<OwnPart>),
 }
 
 impl Snap {
     /// Draws a snap of this kind. The footprint's area is uniform in 20 to 49 mm², whatever the
     /// kind.
-    pub fn sample(rng: &mut Pcg64, kind: Kind) -> Self {
+    pub fn sample(rng: &mut Pcg64, kind: &Kind) -> Self {
         let area = rng.random_range(20.0..49.0);
         match kind {
+            Kind::Own(part) => Self::Own(part.clone()),
             Kind::A => Self::Hook(Hook::sample(rng, area)),
             Kind::B => Self::Stud(Stud::sample(rng, area)),
         }
@@ -375,11 +375,12 @@ impl Snap {
 
     /// Draws a snap of this kind for a wide picture. The footprint's area is drawn evenly over its
     /// logarithm in 14 to 60 mm², whatever the kind; a hook on its side is slimmer.
-    pub fn sample_wide(rng: &mut Pcg64, kind: Kind, forced: &Forced) -> Self {
+    pub fn sample_wide(rng: &mut Pcg64, kind: &Kind, forced: &Forced) -> Self {
         let area = rng.random_range(14f64.ln()..60f64.ln()).exp();
         let on_side = rng.random_bool(0.12) && !forced.mild;
         let wall = rng.random_bool(0.4) && !forced.mild;
         match kind {
+            Kind::Own(part) => Self::Own(part.clone()),
             Kind::A => Self::Hook(Hook::sample_wide(
                 rng,
                 area,
@@ -403,6 +404,7 @@ impl Snap {
         let low = rng.random_range(0.3..0.8);
         let grazing = rng.random_bool(0.75);
         match self {
+            Self::Own(part) => part.sample_depth(rng),
             Self::Hook(Hook { on_side: None, undercut, .. }) if faint => {
                 if grazing {
                     *undercut = undercut.min(low - rng.random_range(0.05..0.15));
@@ -423,6 +425,7 @@ impl Snap {
             Self::Hook(h) if h.on_side.is_some() => [h.length / 2.0, h.profile_height() / 2.0],
             Self::Hook(h) => [h.length / 2.0, h.width * h.taper / 2.0],
             Self::Stud(s) => [s.diameter / 2.0, s.diameter / s.oval / 2.0],
+            Self::Own(part) => part.relief.half_size(),
         }
     }
 
@@ -433,6 +436,7 @@ impl Snap {
             Self::Hook(hook) if rng.random_bool(0.92) => hook.undercut + rng.random_range(0.2..0.8),
             Self::Hook(hook) => rng.random_range(0.35..hook.undercut - 0.05),
             Self::Stud(_) => rng.random_range(0.2..1.4),
+            Self::Own(part) => part.sample_depth(rng),
         }
     }
 
@@ -441,6 +445,7 @@ impl Snap {
         match self {
             Self::Hook(_) => Kind::A,
             Self::Stud(_) => Kind::B,
+            Self::Own(part) => Kind::Own(part.clone()),
         }
     }
 
@@ -449,13 +454,14 @@ impl Snap {
         match self {
             Self::Hook(hook) => hook.height(x, y),
             Self::Stud(stud) => stud.height(x, y),
+            Self::Own(part) => part.relief.height(x, y),
         }
     }
 
     /// Radius of a circle round the origin that holds the part, in millimetres.
     pub fn reach(&self) -> f64 {
         match self {
-            Self::Hook(_) => {
+            Self::Hook(_) | Self::Own(_) => {
                 let [x, y] = self.half_size();
                 x.hypot(y)
             }

@@ -477,6 +477,23 @@ impl Relief {
         (far.fold(0.0, f64::max) + 0.5f64.sqrt()) * self.spacing_mm
     }
 
+    /// How far the lowest cell that a press of `most_mm` sees lies below the highest, in millimetres.
+    pub fn depth_mm(&self, most_mm: f64) -> f64 {
+        let seen = self.heights.iter().map(|h| -f64::from(*h)).filter(|depth| *depth <= most_mm);
+        seen.fold(0.0, f64::max)
+    }
+
+    /// A number that tells shapes apart.
+    pub fn digest(&self) -> u64 {
+        let size = self.cells.iter().flat_map(|n| (*n as u64).to_le_bytes());
+        let heights = self.heights.iter().flat_map(|h| h.to_le_bytes());
+        // FNV-1a.
+        let bytes = size.chain(self.spacing_mm.to_le_bytes()).chain(heights);
+        bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+            (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
+        })
+    }
+
     /// Its mirror image, y against y.
     pub fn mirrored(&self) -> Self {
         let rows = self.heights.chunks_exact(self.cells[0]).rev();

@@ -1,0 +1,164 @@
+//! Parts of one's own, for `simulate`: what the options name, read from files.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use smr_gpu::simulator::Error;
+use smr_gpu::simulator::mesh::{Mesh, Unit};
+use smr_gpu::simulator::own_part::OwnPart;
+use smr_gpu::simulator::relief::{self, Direction, Relief, View};
+use smr_gpu::simulator::scene::Own;
+use smr_gpu::simulator::snaps::Kind;
+
+use super::exit::{Exit, Failure};
+use super::message::tell;
+use super::names::shown;
+
+/// Most classes that a network has.
+const MOST_CLASSES: usize = 10;
+
+/// How the files' parts lie before the gel.
+#[derive(Debug, clap::Args)]
+pub(super) struct CadArgs {
+    /// Which direction of the files points to the gel.
+    #[arg(long, default_value = "z", value_name = "x|y|z|-x|-y|-z", value_parser = direction)]
+    #[arg(allow_hyphen_values = true, requires = "part")]
+    axis: Direction,
+
+    /// Which direction of the files points up in a picture of a part that is not turned [default: y, or z where
+    /// --axis is another].
+    #[arg(long, value_name = "x|y|z|-x|-y|-z", value_parser = direction)]
+    #[arg(allow_hyphen_values = true, requires = "part")]
+    up: Option<Direction>,
+
+    /// What lengths in the files are in.
+    #[arg(long, default_value = "mm", value_name = "mm|inch|m", value_parser = unit)]
+    #[arg(requires = "part")]
+    unit: Unit,
+
+    /// Side of a pixel of a height map, in millimetres.
+    #[arg(long, value_name = "MM", requires = "part")]
+    map_pixel: Option<f64>,
+
+    /// Height of white over black in a height map, in millimetres.
+    #[arg(long, value_name = "MM", requires = "part")]
+    map_height: Option<f64>,
+}
+
+/// A class, as `--part` names it.
+#[derive(Clone, Debug)]
+pub(super) enum PartArg {
+    A,
+    B,
+    Own { name: String, file: PathBuf },
+}
+
+impl PartArg {
+    fn name(&self) -> &str {
+        match self {
+            Self::A => "A",
+            Self::B => "B",
+            Self::Own { name, .. } => name,
+        }
+    }
+}
+
+fn direction(text: &str) -> Result<Direction, String> {
+    Direction::named(text).ok_or_else(|| "expected x, y, z, -x, -y or -z".to_owned())
+}
+
+fn unit(text: &str) -> Result<Unit, String> {
+    Unit::named(text).ok_or_else(|| "expected mm, inch or m".to_owned())
+}
+
+/// Parses `NAME=FILE`, `A` or `B`.
+///
+/// # Errors
+/// In words.
+pub(super) fn part(text: &str) -> Result<PartArg, String> {
+    match text.split_once('=') {
+        None if text == "A" => Ok(PartArg::A),
+        None if text == "B" => Ok(PartArg::B),
+        None => Err("expected NAME=FILE, A or B".to_owned()),
+        Some((name, _)) if name.trim().is_empty() => Err("expected a name before `=`".to_owned()),
+        Some((_, "")) => Err("expected a file behind `=`".to_owned()),
+        Some((name, file)) => Ok(PartArg::Own { name: name.trim().into(), file: file.into() }),
+    }
+}
+
+/// Reads the parts and what is taken for them, and tells what is odd about each.
+///
+/// # Errors
+/// [`Exit::Usage`] for two classes of one name or too many; [`Exit::Inputs`] for a file that holds no part.
+pub(super) fn own(parts: &[PartArg], negatives: &[PathBuf], cad: &CadArgs) -> Result<Own, Failure> {
+    if parts.len() > MOST_CLASSES {
+        let got = parts.len();
+        return Err(Failure::usage(format!("--part: expected at most {MOST_CLASSES}, got {got}")));
+    }
+    let mut own = Own::default();
+    for (at, part) in parts.iter().enumerate() {
+        let name = part.name();
+        if parts[..at].iter().any(|other| other.name().eq_ignore_ascii_case(name)) {
+            let message =
+                format!("--part: expected a name of its own for each, got `{name}` twice");
+            return Err(Failure::usage(message));
+        }
+        own.classes.push(match part {
+            PartArg::A => Kind::A,
+            PartArg::B => Kind::B,
+            PartArg::Own { name, file } => {
+                let part = OwnPart::new(name.clone(), read(file, cad)?);
+                describe(&part);
+                for (what, negative) in part.negatives() {
+                    match negative {
+                        Some(negative) => own.negatives.push(Arc::new(negative)),
+                        None => tell(format!("{name}: {what} it looks the same, and is left out")),
+                    }
+                }
+                Kind::Own(part)
+            }
+        });
+    }
+    for file in negatives {
+        own.negatives.push(Arc::new(read(file, cad)?));
+    }
+    Ok(own)
+}
+
+fn describe(part: &OwnPart) {
+    use smr_gpu::simulator::relief::Symmetry;
+    let [x, y] = part.relief.half_size().map(|half| 2.0 * half);
+    let turns = match part.symmetry {
+        Symmetry::None => "it has a direction".to_owned(),
+        Symmetry::Half => "it looks the same after half a turn".to_owned(),
+        Symmetry::Quarter => "it looks the same after a quarter of a turn".to_owned(),
+        Symmetry::Other(turns) => format!("it looks the same after 1/{turns} of a turn"),
+        Symmetry::Round => "it looks the same from everywhere".to_owned(),
+    };
+    tell(format!("{}: {x:.2} x {y:.2} mm; {turns}", part.name));
+}
+
+/// Reads a part from a CAD file or a height map.
+fn read(file: &Path, cad: &CadArgs) -> Result<Relief, Failure> {
+    let part = |source: relief::Error| {
+        Failure::new(Exit::Inputs, Error::Part { path: file.to_owned(), source })
+    };
+    let is_map = file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png"));
+    if is_map {
+        let (Some(pixel), Some(height)) = (cad.map_pixel, cad.map_height) else {
+            let message = format!(
+                "{}: expected --map-pixel and --map-height for a height map, got none",
+                shown(file.as_os_str())
+            );
+            return Err(Failure::usage(message));
+        };
+        return Relief::read_map(file, pixel, height).map_err(part);
+    }
+    let mesh = Mesh::read(file, cad.unit).map_err(|e| part(e.into()))?;
+    let view = View { towards: cad.axis, up: cad.up };
+    let (relief, remarks) = Relief::of_mesh(&mesh, view).map_err(part)?;
+    for remark in remarks {
+        tell(format!("{}: {remark}", shown(file.as_os_str())));
+    }
+    Ok(relief)
+}

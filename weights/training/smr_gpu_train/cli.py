@@ -14,7 +14,6 @@ from .errors import Failure, NotInstalled
 from .request import FILE, Request
 
 STOPPED = 130
-INSTALL = "install this package with its dependencies: pip install weights/training (README.md there says how to get a CPU build of torch)"
 
 
 class Parser(argparse.ArgumentParser):
@@ -89,6 +88,10 @@ def parser() -> argparse.ArgumentParser:
     export = commands.add_parser("export", help="write the weight file of a run as far as it has come")
     export.add_argument("--run", type=Path, required=True, help="folder of a run of fit")
     export.add_argument("--out", type=Path, required=True, help="weight file to write")
+
+    onnx = commands.add_parser("onnx", help="write a weight file's network as ONNX, from pixels to detections")
+    onnx.add_argument("--weights", type=Path, required=True)
+    onnx.add_argument("--out", type=Path, required=True, help="file to write, NAME.onnx")
     return top
 
 
@@ -139,11 +142,14 @@ def command(argv: list[str] | None) -> int:
             from . import evaluate as chosen
         elif args.command == "calibrate":
             from . import calibrate as chosen  # type: ignore[no-redef]
+        elif args.command == "onnx":
+            from . import onnx as chosen  # type: ignore[no-redef]
         else:
             from . import export as chosen  # type: ignore[no-redef]
         return chosen.run(args)
     except ModuleNotFoundError as error:
-        raise NotInstalled(f"{error.name} is not installed: {INSTALL}") from None
+        extra = "'weights/training[onnx]'" if error.name == "onnx" else "weights/training"
+        raise NotInstalled(f"{error.name} is not installed: pip install {extra} (README.md there says how to get a CPU build of torch)") from None
 
 
 def main(argv: list[str] | None = None) -> int:

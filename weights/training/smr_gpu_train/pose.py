@@ -20,6 +20,7 @@ OUTPUTS = 6
 LOG_VARIANCE_MIN = -12.0
 YAW_LOG_VARIANCE_MAX = math.log(math.pi**2 / 3)
 CENTRE_LOG_VARIANCE_MAX = math.log(100.0)
+DEGREES = 180 / math.pi  # of a radian; ONNX has no operator for that
 
 
 def _log_variances(rows: Tensor) -> tuple[Tensor, Tensor]:
@@ -35,8 +36,8 @@ def decode(rows: Tensor, directed: Tensor) -> dict[str, Tensor]:
     yaw, centre = _log_variances(rows)
     none = torch.full_like(yaw, math.nan)
     return {
-        "yaw": torch.where(directed, torch.atan2(rows[:, 1], rows[:, 0]).rad2deg(), none),
-        "yaw_std": torch.where(directed, (yaw / 2).exp().rad2deg(), none),
+        "yaw": torch.where(directed, torch.atan2(rows[:, 1], rows[:, 0]) * DEGREES, none),
+        "yaw_std": torch.where(directed, (yaw / 2).exp() * DEGREES, none),
         "centre_std": (centre / 2).exp(),
         "whole": rows[:, 5].sigmoid(),
     }

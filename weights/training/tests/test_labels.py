@@ -141,7 +141,7 @@ class Folders(unittest.TestCase):
             ([*begin, str(sound), "--sensor", "paper", "--classes", "a"], 2, "expected labels of a, got `bayonet` (1 snap), `ball_catch` (1 snap)"),
             (["fit", "--out", str(out), "--resume"], 2, f"{out}: expected a run with run.json, got none"),
             (["fit", "--out", str(out), "--resume", "--steps", "7"], 2, "--resume goes on as the run was begun: leave out --steps"),
-            ([*begin, str(sound)], 1, "is not installed: install this package with its dependencies"),
+            ([*begin, str(sound)], 1, "is not installed: pip install weights/training"),
             (["evaluate", "--weights", "x", "--data", str(sound)], 1, "is not installed"),
         ]:
             with self.subTest(arguments):
@@ -156,7 +156,7 @@ class Folders(unittest.TestCase):
         said = io.StringIO()
         with contextlib.redirect_stdout(said), self.assertRaises(SystemExit):
             cli.main(["--help"])
-        for command in ("fit", "evaluate", "calibrate", "export"):
+        for command in ("fit", "evaluate", "calibrate", "export", "onnx"):
             self.assertIn(command, said.getvalue())
 
 

@@ -20,14 +20,18 @@ class Parser(argparse.ArgumentParser):
     """One whose errors are a line."""
 
     def error(self, message: str) -> NoReturn:
-        raise Failure(f"{self.prog}: {message} (--help shows the arguments)")
+        command = self.prog.partition(" ")[2]
+        raise Failure(f"{command}: {message}" if command else f"{message} (--help shows them)")
 
 
 def _at_least(least: float, kind: Callable[[str], float]) -> Callable[[str], float]:
     def read(text: str) -> float:
-        value = kind(text)
+        try:
+            value = kind(text)
+        except ValueError:
+            value = float("nan")
         if not least <= value < float("inf"):
-            raise argparse.ArgumentTypeError(f"expected a number from {least} on, got {text}")
+            raise argparse.ArgumentTypeError(f"expected a {'whole ' if kind is int else ''}number from {least} on, got {text}")
         return value
 
     return read

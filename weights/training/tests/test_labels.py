@@ -131,7 +131,9 @@ class Folders(unittest.TestCase):
         for arguments, status, wanted in [
             ([], 2, "the following arguments are required: COMMAND"),
             (["fit", "--out", str(out)], 2, "expected --data and --steps, or --resume"),
-            ([*begin, str(sound), "--steps", "0"], 2, "argument --steps: expected a number from 1 on, got 0"),
+            ([*begin, str(sound), "--steps", "0"], 2, "fit: argument --steps: expected a whole number from 1 on, got 0"),
+            ([*begin, str(sound), "--steps", "1.5"], 2, "fit: argument --steps: expected a whole number from 1 on, got 1.5"),
+            ([*begin, str(sound), "--lr", "nan"], 2, "fit: argument --lr: expected a number from 0 on, got nan"),
             ([*begin, str(self.root / "sett"), str(sound)], 2, f"--data: expected folders, got {self.root}/sett, which is not there"),
             ([*begin, str(self.root)], 2, f"--data: expected folders with annotations.json (COCO), got {self.root} without it"),
             ([*begin, str(sound), "--val", str(self.root / "x")], 2, f"--val: expected folders, got {self.root}/x"),

@@ -32,7 +32,7 @@ fn config(variant: Variant) -> Json {
     })
 }
 
-/// A narrow network with pose, in format 2: that of `NETWORKS["small"]` in weights/training/model.py.
+/// A narrow network with pose, in format 2: that of `NETWORKS["small"]` in config.py of weights/training.
 fn small() -> Json {
     json!({
         "format": 2,
@@ -65,7 +65,7 @@ const FULL: Variant = Variant { safe: true, msff: true, rw: true };
 
 type Shapes = Vec<(String, Vec<usize>)>;
 
-/// Names and shapes in the state dict of weights/training/model.py, without `num_batches_tracked`:
+/// Names and shapes in the state dict of weights/training (model.py), without `num_batches_tracked`:
 /// `SmrNet` and its parts, read there and not in the Rust network.
 fn state_dict(config: &ModelConfig) -> Shapes {
     let ModelConfig { variant, stem, channels: [c2, c3, c4, c5], fused, reweight, head, .. } =

@@ -11,8 +11,7 @@ from torch import Tensor, nn
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "weights/training"))
 
-import model  # noqa: E402
-import weightfile  # noqa: E402
+from smr_gpu_train import model, weightfile  # noqa: E402
 
 BACKBONE = ["backbone.cbam3", "backbone.cbam4", "backbone.cbam5"]
 FEATURES = ["fusion.fused", "rpn.cls", "rpn.bbox"]

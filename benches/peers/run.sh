@@ -13,7 +13,7 @@ else
 fi
 if [ ! -x "$work/venv/bin/python" ]; then
     python3 -m venv "$work/venv"
-    "$work/venv/bin/pip" install --quiet -r weights/training/requirements.txt \
+    "$work/venv/bin/pip" install --quiet ./weights/training \
         -r benches/peers/requirements.txt
 fi
 cargo build --locked --release --example timed

@@ -6,8 +6,9 @@ from pathlib import Path
 import torch
 from torch import nn
 
-import weightfile
-from model import NETWORKS, Config, SmrNet
+from smr_gpu_train import weightfile
+from smr_gpu_train.config import NETWORKS, Config
+from smr_gpu_train.model import SmrNet
 
 ROIS = 100
 

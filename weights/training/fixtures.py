@@ -13,8 +13,9 @@ from pathlib import Path
 import torch
 from safetensors.torch import save_file
 
-import weightfile
-from data import normalise, read_picture, resize_square
+from smr_gpu_train import weightfile
+from smr_gpu_train.data import normalise, resize_square
+from smr_gpu_train.pictures import read_picture
 
 
 def main() -> None:

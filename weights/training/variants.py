@@ -13,8 +13,9 @@ import numpy as np
 import torch
 from safetensors.torch import save_file
 
-from data import normalise, resize_square
-from model import Config, SmrNet, Variant
+from smr_gpu_train.data import normalise, resize_square
+from smr_gpu_train.config import Config, Variant
+from smr_gpu_train.model import SmrNet
 
 SEED = 7
 VARIANTS = {"full": {}, "no-safe": {"safe": False}, "no-msff": {"msff": False}, "no-rw": {"rw": False}, "no-deepest": {}}

@@ -1,0 +1,25 @@
+"""Files that are written whole or not at all."""
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+from .errors import Unwritable
+
+
+@contextlib.contextmanager
+def whole(file: Path, *errors: type[Exception]) -> Iterator[Path]:
+    """The path to write to, which becomes `file` in the end; what goes wrong, of `errors` too, becomes `Unwritable`."""
+    part = file.with_suffix(".part")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        yield part
+        part.replace(file)
+    except BaseException as error:
+        if not isinstance(error, (OSError, *errors)):
+            raise
+        said = error.strerror if isinstance(error, OSError) and error.strerror else (str(error).splitlines() or [type(error).__name__])[0]
+        raise Unwritable(f"{file}: cannot be written: {said}") from None
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink()

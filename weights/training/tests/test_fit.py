@@ -1,0 +1,171 @@
+"""A tiny run from labels to the program: it ends with weights, can be stopped, killed and resumed, and starts from others.
+
+`SMR_GPU=smr-gpu python tests/test_fit.py`, where smr-gpu is the program
+"""
+
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+import torch
+from safetensors import safe_open
+from safetensors.torch import load_file
+
+SMR_GPU = os.environ["SMR_GPU"]
+STEPS = 6
+TINY = ["--steps", str(STEPS), "--area", "40000", "--threads", "1", "--checkpoint-minutes", "0"]
+
+
+def call(*arguments: object, status: int = 0, room: int = resource.RLIM_INFINITY) -> str:
+    """Stdout of a command that ends so, and of one that fails its one line of stderr; no file is longer than `room` bytes."""
+    least = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))  # noqa: E731
+    done = subprocess.run([sys.executable, "-m", "smr_gpu_train", *map(str, arguments)], capture_output=True, text=True, preexec_fn=least)
+    assert done.returncode == status, f"{arguments}: {done.returncode}, expected {status}: {done.stdout}{done.stderr}"
+    assert done.stderr.count("\n") == (status not in (0, 130)), done.stderr
+    return done.stderr if status not in (0, 130) else done.stdout
+
+
+def classes(file: Path) -> list[str]:
+    with safe_open(file, "pt") as saved:
+        return json.loads(saved.metadata()["config"])["classes"]
+
+
+class Fit(unittest.TestCase):
+    root: Path
+    data: Path
+    whole: Path
+    said: str
+
+    @classmethod
+    def setUpClass(cls) -> None:
+        kept = tempfile.TemporaryDirectory()
+        cls.addClassCleanup(kept.cleanup)
+        cls.root = Path(kept.name)
+        cls.data, cls.whole = cls.root / "data", cls.root / "whole"
+        # Frames of 20 x 15 mm, so inputs of 192 x 128 pixels.
+        subprocess.run([SMR_GPU, "simulate", "--out", cls.data, "--count", "12", "--seed", "7", "--sensor", "gelsight-mini"], check=True, capture_output=True)
+        labels = cls.data / "annotations.json"
+        coco = json.loads(labels.read_text())
+        for category, name in zip(coco["categories"], ("bayonet", "Ball_Catch"), strict=True):
+            category["name"] = name
+        labels.write_text(json.dumps(coco))
+        cls.said = call("fit", "--out", cls.whole, "--data", cls.data, "--val", cls.data, "--network", "small", *TINY)
+
+    def test_a_run_ends_with_weights_that_the_program_runs(self) -> None:
+        file = self.whole / "weights.safetensors"
+        self.assertEqual(classes(file), ["bayonet", "Ball_Catch"])
+        self.assertIn("12 pictures, ", self.said.splitlines()[0])
+        self.assertIn("bayonet ", self.said.splitlines()[0])
+        self.assertIn("(with a direction), Ball_Catch ", self.said.splitlines()[0])
+        self.assertIn(f"val step {STEPS}", self.said)
+        pictures = sorted((self.data / "images").glob("*.png"))[:2]
+        done = subprocess.run([SMR_GPU, "detect", "--weights", file, "--json", "--conf", "0.05", "--sensor", "gelsight-mini", "--device", "cpu", *pictures], capture_output=True, text=True)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        shown = subprocess.run([SMR_GPU, "eval", "--weights", file, "--data", self.data, "--device", "cpu"], capture_output=True, text=True)
+        self.assertEqual(shown.returncode, 0, shown.stderr)
+        self.assertIn("Ball_Catch", shown.stdout)
+
+    def test_a_run_that_is_killed_or_stopped_goes_on_to_the_same_weights(self) -> None:
+        out = self.root / "broken"
+        command = [sys.executable, "-m", "smr_gpu_train", "fit", "--out", out]
+        fresh = ["--data", self.data, "--network", "small", *TINY]
+        for how, status in ((signal.SIGKILL, -signal.SIGKILL), (signal.SIGINT, 130)):
+            with subprocess.Popen([*command, *(["--resume"] if out.exists() else fresh)], stdout=subprocess.PIPE, text=True) as process:
+                assert process.stdout is not None
+                for line in process.stdout:
+                    if " of 6, " in line:  # a step has been made
+                        process.send_signal(how)
+                        break
+                process.stdout.read()
+            self.assertEqual(process.returncode, status)
+            self.assertFalse((out / "weights.safetensors").exists())
+        step = torch.load(out / "checkpoint.pt", weights_only=True)["step"]
+        self.assertTrue(0 < step < STEPS, step)
+        # What there is can be had; other pictures are not taken for the same.
+        self.assertIn(f"step {step}, ", call("export", "--run", out, "--out", out / "early.safetensors"))
+        self.assertEqual(classes(out / "early.safetensors"), ["bayonet", "Ball_Catch"])
+        call("fit", "--out", out, "--resume")
+        one, other = (load_file(run / "weights.safetensors") for run in (self.whole, out))
+        self.assertEqual(one.keys(), other.keys())
+        for name, tensor in one.items():
+            self.assertTrue(torch.equal(tensor, other[name]), name)
+        self.assertIn("holds a run: give --resume", call("fit", "--out", out, *fresh, status=2))
+        call("export", "--run", out, "--out", out / "again.safetensors")
+        self.assertEqual((out / "again.safetensors").read_bytes(), (out / "weights.safetensors").read_bytes())
+
+    def test_a_run_goes_on_with_its_own_pictures_alone(self) -> None:
+        out, data = self.root / "moved", self.root / "moved-data"
+        shutil.copytree(self.data, data)
+        call("fit", "--out", out, "--data", data, "--network", "small", *TINY, "--steps", "1")
+        pictures = sorted((data / "images").glob("*.png"))
+        shutil.copy(pictures[0], pictures[1])
+        self.assertIn("expected the pictures and labels that the run began with", call("fit", "--out", out, "--resume", status=2))
+
+    def test_heads_of_classes_that_a_file_has_stay(self) -> None:
+        data, out = self.root / "other", self.root / "from"
+        shutil.copytree(self.data, data)
+        labels = data / "annotations.json"
+        labels.write_text(labels.read_text().replace('"bayonet"', '"clip"'))
+        first = self.whole / "weights.safetensors"
+        # At a rate of zero nothing is learnt: what differs began anew.
+        said = call("fit", "--out", out, "--data", data, "--init", first, "--classes", "ball_catch", "clip", "--lr", "0", "--keep-statistics", *TINY, "--steps", "1")
+        self.assertIn("its heads say nothing of clip, which begin anew", said)
+        self.assertEqual(classes(out / "weights.safetensors"), ["ball_catch", "clip"])
+        before, after = load_file(first), load_file(out / "weights.safetensors")
+        for name, tensor in before.items():
+            rows = {"roi_head.cls_score": 1, "roi_head.bbox_pred": 4}.get(name.rpartition(".")[0])
+            if rows is None:
+                self.assertTrue(torch.equal(tensor, after[name]), name)
+                continue
+            background, bayonet, catch = tensor.split(rows)
+            got = after[name].split(rows)
+            self.assertTrue(torch.equal(got[0], background) and torch.equal(got[1], catch), name)
+            self.assertFalse(torch.equal(got[2], bayonet) and name.endswith("weight"), name)
+        # A file that is none.
+        self.assertIn("expected a weight file of SMR-Net", call("fit", "--out", self.root / "none", "--data", data, "--init", labels, *TINY, status=2))
+
+    def test_one_class_without_directions(self) -> None:
+        data, out = self.root / "one", self.root / "one-run"
+        shutil.copytree(self.data, data)
+        labels = data / "annotations.json"
+        coco = json.loads(labels.read_text())
+        coco["categories"] = [{"id": 5, "name": "κλιπ"}]
+        for annotation in coco["annotations"]:
+            annotation.update(category_id=5, yaw_deg=None)
+        labels.write_text(json.dumps(coco))
+        call("fit", "--out", out, "--data", data, "--network", "small", *TINY, "--steps", "1")
+        self.assertEqual(classes(out / "weights.safetensors"), ["κλιπ"])
+        said = call("evaluate", "--weights", out / "weights.safetensors", "--data", data, "--limit", "2")
+        self.assertIn("κλιπ: count ", said)
+        self.assertIn("expected labels of κλιπ, got `", call("evaluate", "--weights", out / "weights.safetensors", "--data", self.data, status=2))
+
+    def test_calibration_leaves_what_too_few_pictures_say(self) -> None:
+        out = self.root / "calibrated.safetensors"
+        said = call("calibrate", "--weights", self.whole / "weights.safetensors", "--data", self.data, "--limit", "3", "--out", out)
+        self.assertIn("left as", said)
+        self.assertEqual(classes(out), ["bayonet", "Ball_Catch"])
+
+    def test_outputs_that_cannot_be_written(self) -> None:
+        (self.root / "file").write_text("")
+        said = call("export", "--run", self.whole, "--out", self.root / "file" / "x.safetensors", status=6)
+        self.assertIn("x.safetensors: cannot be written", said)
+        # A disk that is full once the pictures are packed: checkpoints are larger.
+        out = self.root / "full"
+        said = call("fit", "--out", out, "--data", self.data, "--network", "small", *TINY, status=6, room=4_000_000)
+        self.assertIn("checkpoint.pt: cannot be written", said)
+        self.assertEqual(sorted(file.name for file in out.iterdir()), ["cache", "run.json"])
+        call("fit", "--out", out, "--resume")
+        self.assertTrue((out / "weights.safetensors").exists())
+        said = call("fit", "--out", self.root / "file" / "run", "--data", self.data, *TINY, status=6)
+        self.assertIn("cannot be written", said)
+
+
+if __name__ == "__main__":
+    unittest.main()

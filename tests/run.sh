@@ -148,6 +148,13 @@ RUSTDOCFLAGS="-D warnings" step docs cargo doc --locked --release --no-deps
 if command -v cargo-deny >/dev/null; then
     step deny cargo deny --locked check bans licenses sources
 fi
+# What of training needs nothing but Python itself; weights/training/run.sh has the rest.
+labels() {
+    (cd weights/training && python3 -m unittest -q tests/test_labels.py)
+}
+if command -v python3 >/dev/null; then
+    step labels labels
+fi
 # Examples are no tests: clippy has compiled them.
 step tests cargo test --locked --release "${released[@]}"
 step doctests cargo test --locked --release --doc

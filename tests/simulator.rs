@@ -1,5 +1,8 @@
 //! The simulated sensor against closed forms, and against real presses.
 
+#[path = "support/program.rs"]
+mod program;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -1611,13 +1614,10 @@ fn comb() -> String {
     ])
 }
 
-fn simulate_parts(folder: &std::path::Path, more: &[&str]) -> std::process::Output {
-    std::process::Command::new(env!("CARGO_BIN_EXE_smr-gpu"))
-        .args(["simulate", "--seed", "5", "--out", "set"])
-        .args(more)
-        .current_dir(folder)
-        .output()
-        .expect("the program")
+fn simulate_parts(folder: &std::path::Path, more: &[&str]) -> program::Ran {
+    let mut command = program::command(folder);
+    command.args(["simulate", "--seed", "5", "--out", "set"]).args(more);
+    command.output().expect("the program").into()
 }
 
 #[test]
@@ -1630,8 +1630,7 @@ fn a_part_of_ones_own_is_a_class() {
     let asked =
         ["--part", "comb=comb.stl", "--part", "cube=cube.stl", "--part", "A", "--count", "16"];
     let run = simulate_parts(folder.path(), &asked);
-    let said = String::from_utf8_lossy(&run.stderr);
-    assert_eq!(run.status.code(), Some(0), "{said}");
+    let said = run.expect(0).stderr;
     assert!(said.contains("comb: 8.00 x 4.00 mm; it has a direction"), "{said}");
     assert!(
         said.contains("cube: 5.00 x 5.00 mm; it looks the same after a quarter of a turn"),
@@ -1663,7 +1662,7 @@ fn a_part_of_ones_own_is_a_class() {
     // Another part under the same name is another data set.
     std::fs::write(file("comb.stl"), &cube).expect("written");
     let run = simulate_parts(folder.path(), &asked);
-    assert_eq!(run.status.code(), Some(2), "{}", String::from_utf8_lossy(&run.stderr));
+    run.expect(2);
 }
 
 #[test]
@@ -1689,13 +1688,12 @@ fn parts_that_cannot_be_are_named() {
         (&["--part", "map=map.png"], 2, "expected --map-pixel and --map-height"),
     ] {
         let run = simulate_parts(folder.path(), &[args, &["--count", "1"][..]].concat());
-        let said = String::from_utf8_lossy(&run.stderr);
-        assert_eq!(run.status.code(), Some(code), "{args:?}: {said}");
-        assert!(said.contains(words), "{args:?}: {said}");
+        assert_eq!(run.code, Some(code), "{args:?}: {}", run.stderr);
+        assert!(run.stderr.contains(words), "{args:?}: {}", run.stderr);
         assert!(!folder.path().join("set").exists(), "{args:?}");
     }
     // In metres it is a part.
     let run =
         simulate_parts(folder.path(), &["--part", "m=metres.stl", "--unit", "m", "--count", "1"]);
-    assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
+    run.expect(0);
 }

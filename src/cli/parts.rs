@@ -6,7 +6,7 @@ use std::sync::Arc;
 use smr_gpu::simulator::Error;
 use smr_gpu::simulator::mesh::{Mesh, Unit};
 use smr_gpu::simulator::own_part::OwnPart;
-use smr_gpu::simulator::relief::{self, Direction, Relief, View};
+use smr_gpu::simulator::relief::{self, Direction, Relief, Symmetry, View};
 use smr_gpu::simulator::scene::Own;
 use smr_gpu::simulator::snaps::Kind;
 
@@ -126,7 +126,6 @@ pub(super) fn own(parts: &[PartArg], negatives: &[PathBuf], cad: &CadArgs) -> Re
 }
 
 fn describe(part: &OwnPart) {
-    use smr_gpu::simulator::relief::Symmetry;
     let [x, y] = part.relief.half_size().map(|half| 2.0 * half);
     let turns = match part.symmetry {
         Symmetry::None => "it has a direction".to_owned(),

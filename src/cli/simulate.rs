@@ -178,11 +178,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         true => Distribution::Plain,
         false => Distribution::Wide,
     };
-    let mut own = parts::own(&args.part, &args.negative, &args.cad)?;
-    if look_alike.is_some() {
-        // That one kind alone.
-        own.negatives.clear();
-    }
+    let own = parts::own(&args.part, &args.negative, &args.cad)?;
     if !own.classes.is_empty() && matches!(kind, Mix::A | Mix::B) {
         return Err(Failure::usage(
             "--kind a and b are for A and B: with --part, mixed, none or bare",

@@ -3,7 +3,7 @@
 //!
 //! | module | what it holds |
 //! |---|---|
-//! | `lock`, `cores`, `milliseconds` | locks, threads, how times are serialised |
+//! | `lock`, `cores`, `milliseconds`, `digest` | locks, threads, how times are serialised, hashes |
 //! | [`shape`], [`tensor`], [`precision`] | shapes, tensors in host memory, how a GPU stores them: f32 or f16 |
 //! | [`pixel_order`] | which bytes of a pixel are which colour |
 //! | [`mod@reference`] | each operation from its definition, with f64 sums |
@@ -23,6 +23,7 @@
 pub(crate) mod cores;
 #[cfg(feature = "cpu")]
 pub mod cpu;
+pub(crate) mod digest;
 pub mod gpu;
 pub mod graph;
 pub mod kernels;

@@ -49,11 +49,11 @@ impl PixelFormat {
     /// Bytes of a pixel in a row; of NV12 in a row of luma, and 0 where there are no rows.
     pub fn bytes_per_pixel(self) -> usize {
         match self {
-            Self::Rgb8 | Self::Bgr8 => 3,
-            Self::Rgba8 | Self::Bgra8 => 4,
+            Self::Rgb8 | Self::Bgr8 | Self::Rgba8 | Self::Bgra8 | Self::Gray8 => {
+                self.order().map_or(0, PixelOrder::bytes)
+            }
             Self::Gray16 | Self::Yuyv => 2,
-            Self::Gray8
-            | Self::Nv12
+            Self::Nv12
             | Self::BayerRggb8
             | Self::BayerBggr8
             | Self::BayerGrbg8

@@ -4,6 +4,8 @@
 //! without look-alikes beside them. Most snaps lie in the picture as a whole, 15 % are cut by its
 //! edge, and some touch another part.
 
+use std::sync::Arc;
+
 use glam::DVec2;
 use rand::RngExt;
 use rand::seq::IndexedRandom;
@@ -11,6 +13,7 @@ use rand_pcg::Pcg64;
 
 use super::distractors::{Distractor, Part};
 use super::forced::Forced;
+use super::relief::Relief;
 use super::scene::{Mix, Own, Placed, Scene, sample_tilt, sample_yaw};
 use super::snaps::{Hook, Kind, Snap};
 
@@ -102,7 +105,9 @@ fn footprint(placed: &Placed<Distractor>) -> Footprint {
 struct Layout<'a> {
     rng: &'a mut Pcg64,
     forced: &'a Forced,
-    own: &'a Own,
+    classes: &'a [Kind],
+    /// Own shapes that are no snaps.
+    negatives: &'a [Arc<Relief>],
     visible: Region,
     scene: Scene,
     taken: Vec<Footprint>,
@@ -120,7 +125,10 @@ impl Scene {
         (forced, own): (&Forced, &Own),
     ) -> Self {
         let scene = Self { snaps: Vec::new(), distractors: Vec::new() };
-        let mut layout = Layout { rng, forced, own, visible, scene, taken: Vec::new() };
+        // One kind of look-alike is that kind alone.
+        let negatives = if part.is_none() { &own.negatives[..] } else { &[] };
+        let (classes, taken) = (&own.classes[..], Vec::new());
+        let mut layout = Layout { rng, forced, classes, negatives, visible, scene, taken };
         layout.fill(mix, part);
         layout.scene
     }
@@ -157,7 +165,7 @@ impl Layout<'_> {
             _ => 4,
         };
         for _ in 0..count.min(room) {
-            let kind = mix.kind(self.rng, &self.own.classes);
+            let kind = mix.kind(self.rng, self.classes);
             self.add_snap(&kind);
         }
         let touching = self.rng.random_bool(0.15) && !self.forced.mild;
@@ -309,7 +317,7 @@ impl Layout<'_> {
     }
 
     fn add_other(&mut self, part: Part) {
-        let negatives = &self.own.negatives;
+        let negatives = self.negatives;
         let is_own = !negatives.is_empty() && self.rng.random_bool(0.5);
         let shape = match is_own {
             true => negatives.choose(self.rng).map(|relief| Distractor::Relief(relief.clone())),

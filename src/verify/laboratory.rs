@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use crate::detector::input::Input;
 use crate::detector::session::Session;
 use crate::detector::{Detections, GpuDetector, compiled};
-use crate::engine::gpu::{Deadline, Gpu};
-use crate::engine::graph::{TensorId, Values};
+use crate::engine::gpu::{Deadline, Gpu, Inputs};
+use crate::engine::graph::{Graph, TensorId, Values};
 use crate::engine::precision::Precision;
 use crate::engine::tensor::Value;
 use crate::engine::tuned::Tuned;
@@ -127,11 +127,8 @@ pub fn tune(
     limit: Duration,
     progress: impl FnMut(usize, usize),
 ) -> Result<Tuned> {
-    let noise = noise(detector);
-    let input = detector.input(&noise)?;
-    let compiled = detector.session().one(input.geometry.size)?;
-    let (network, precision) = (&compiled.network, detector.config().precision);
-    tune::tune(gpu, &network.graph, &input.inputs(network), precision, limit, progress)
+    let precision = detector.config().precision;
+    on_noise(detector, |graph, inputs| tune::tune(gpu, graph, inputs, precision, limit, progress))
 }
 
 /// Times every command of a detector's network on `gpu`: see [`profile::commands`]. The detector must hold its
@@ -146,24 +143,28 @@ pub fn profile(
     runs: usize,
     remark: impl FnMut(String),
 ) -> Result<Vec<CommandTime>> {
-    let noise = noise(detector);
-    let input = detector.input(&noise)?;
-    let compiled = detector.session().one(input.geometry.size)?;
-    let network = &compiled.network;
     let mut remarks = Vec::new();
     let kernels = compiled::choose(detector.config(), gpu, &mut remarks);
     remarks.into_iter().for_each(remark);
     let how = (&kernels, detector.config().precision);
-    profile::commands(gpu, &network.graph, &input.inputs(network), how, runs)
+    on_noise(detector, |graph, inputs| profile::commands(gpu, graph, inputs, how, runs))
 }
 
-/// A picture of the sensor's size in which there is something everywhere.
-fn noise(detector: &GpuDetector) -> Frame<'static> {
+/// Gives a detector's graph to `work`, with a picture of the sensor's size in which there is something
+/// everywhere.
+fn on_noise<T>(
+    detector: &GpuDetector,
+    work: impl FnOnce(&Graph, &Inputs<'_>) -> Result<T>,
+) -> Result<T> {
     let frame = detector.config().sensor.as_ref().and_then(|sensor| sensor.frame);
     let [width, height] = frame.unwrap_or([1000, 1000]);
     let pixel = |i: usize| ((i as u32).wrapping_mul(2_654_435_761) >> 24) as u8;
     let pixels: Vec<u8> = (0..width as usize * height as usize).map(pixel).collect();
-    Frame::new(pixels, width, height, PixelFormat::Gray8)
+    let noise = Frame::new(pixels, width, height, PixelFormat::Gray8);
+    let input = detector.input(&noise)?;
+    let compiled = detector.session().one(input.geometry.size)?;
+    let network = &compiled.network;
+    work(&network.graph, &input.inputs(network))
 }
 
 fn check_keeps_stages(detector: &GpuDetector) -> Result<()> {

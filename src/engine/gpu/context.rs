@@ -151,6 +151,6 @@ impl Gpu {
 
     /// Wakes `waker` when `deadline` is over, unless the alarm is dropped before.
     pub(crate) fn wake_at(&self, deadline: Deadline, waker: &Waker) -> Option<Alarm> {
-        self.device.wake_at(deadline, waker)
+        deadline.wake(&self.device.clock, waker)
     }
 }

@@ -3,11 +3,11 @@
 use std::future::poll_fn;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
-use std::task::{Poll, Waker};
+use std::task::Poll;
 use std::time::{Duration, Instant};
 
 use crate::engine::gpu::adapter::AdapterChoice;
-use crate::engine::gpu::clock::{Alarm, Clock};
+use crate::engine::gpu::clock::Clock;
 use crate::engine::gpu::deadline::Deadline;
 use crate::engine::gpu::faults::{Call, Fault, Faults};
 use crate::engine::gpu::landing::Landing;
@@ -61,7 +61,7 @@ pub(super) struct Device {
     pub uploads: Mutex<usize>,
     turns: Mutex<()>,
     poller: Arc<Poller>,
-    clock: Clock,
+    pub clock: Clock,
 }
 
 impl Device {
@@ -74,8 +74,23 @@ impl Device {
         foreign: bool,
     ) -> Result<Self> {
         let poller = Arc::new(Poller::new(&handle, &loss)?);
+        Ok(Self::with((handle, queue), options, (loss, poller), foreign))
+    }
+
+    /// The same device under other options.
+    pub fn like(&self, options: GpuOptions) -> Self {
+        let handles = (self.handle.clone(), self.queue.clone());
+        Self::with(handles, options, (self.loss.clone(), self.poller.clone()), self.foreign)
+    }
+
+    fn with(
+        (handle, queue): (wgpu::Device, wgpu::Queue),
+        options: GpuOptions,
+        (loss, poller): (Loss, Arc<Poller>),
+        foreign: bool,
+    ) -> Self {
         let info = handle.adapter_info();
-        Ok(Self {
+        Self {
             handle,
             queue,
             info,
@@ -86,28 +101,7 @@ impl Device {
             turns: Mutex::default(),
             poller,
             clock: Clock::default(),
-        })
-    }
-
-    /// The same device under other options.
-    pub fn like(&self, options: GpuOptions) -> Self {
-        Self {
-            handle: self.handle.clone(),
-            queue: self.queue.clone(),
-            info: self.info.clone(),
-            options,
-            loss: self.loss.clone(),
-            foreign: self.foreign,
-            uploads: Mutex::default(),
-            turns: Mutex::default(),
-            poller: self.poller.clone(),
-            clock: Clock::default(),
         }
-    }
-
-    /// Wakes `waker` when `deadline` is over, unless the alarm is dropped before.
-    pub fn wake_at(&self, deadline: Deadline, waker: &Waker) -> Option<Alarm> {
-        deadline.wake(&self.clock, waker)
     }
 
     /// What a test wants of this call.
@@ -297,7 +291,7 @@ mod tests {
     use super::*;
     use crate::engine::gpu::Gpu;
     use std::sync::atomic::AtomicUsize;
-    use std::task::{Context, Wake};
+    use std::task::{Context, Wake, Waker};
 
     #[derive(Default)]
     struct Woken(AtomicUsize);

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::engine::digest::fnv1a;
 use crate::engine::kernels::{self, Kernel, Work};
 use crate::error::{Error, Result};
 
@@ -45,11 +46,7 @@ impl KernelChoice {
     /// A number that tells choices apart; equal bits are promised for one choice on one device.
     pub fn digest(&self) -> u64 {
         let pairs = self.by_shape.iter().flat_map(|(key, kernel)| [key, kernel]);
-        let bytes = pairs.chain(&self.forced).flat_map(|text| text.bytes().chain([0]));
-        // FNV-1a.
-        bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
-            (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
-        })
+        fnv1a(pairs.chain(&self.forced).flat_map(|text| text.bytes().chain([0])))
     }
 
     /// An operation with its parameters and shapes, and the precision where that is not f32. One for all

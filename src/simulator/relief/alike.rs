@@ -45,11 +45,6 @@ impl Relief {
         }
     }
 
-    /// Whether the part's mirror image is the part itself, perhaps turned, to presses of at most `depth_mm`.
-    pub fn is_mirror_symmetric(&self, depth_mm: f64) -> bool {
-        self.looks_like(&self.mirrored(), depth_mm)
-    }
-
     /// Whether another part, turned and moved, looks the same to presses of at most `depth_mm`.
     pub fn looks_like(&self, other: &Self, depth_mm: f64) -> bool {
         let [one, other] = [self, other].map(|relief| Shape::new(relief, depth_mm));

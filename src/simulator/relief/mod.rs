@@ -24,6 +24,7 @@ use serde::{Deserialize, Serialize};
 
 use super::mesh::shells::Shells;
 use super::mesh::{self, Mesh, Unit, corners};
+use crate::engine::digest::fnv1a;
 use crate::files;
 use crate::picture::{self, GreyPicture16};
 pub use alike::Symmetry;
@@ -487,11 +488,7 @@ impl Relief {
     pub fn digest(&self) -> u64 {
         let size = self.cells.iter().flat_map(|n| (*n as u64).to_le_bytes());
         let heights = self.heights.iter().flat_map(|h| h.to_le_bytes());
-        // FNV-1a.
-        let bytes = size.chain(self.spacing_mm.to_le_bytes()).chain(heights);
-        bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
-            (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
-        })
+        fnv1a(size.chain(self.spacing_mm.to_le_bytes()).chain(heights))
     }
 
     /// Its mirror image, y against y.

@@ -24,14 +24,17 @@ use smr_gpu::simulator::given::Given;
 use smr_gpu::simulator::label::{LEAST_IMPRINT_MM, Label, imprints, visible_share};
 use smr_gpu::simulator::lamps::Lamps;
 use smr_gpu::simulator::markers::Markers;
+use smr_gpu::simulator::mesh::{self, Mesh, Unit};
 use smr_gpu::simulator::optics::{
     Fit, NORMAL_TERMS, POSITION_TERMS, Shading, TERMS, measured_sensors, normal_terms,
     position_terms,
 };
 use smr_gpu::simulator::options::Drive;
+use smr_gpu::simulator::own_part::OwnPart;
 use smr_gpu::simulator::raster::{FIELD_MM, Raster};
+use smr_gpu::simulator::relief::{Relief, View};
 use smr_gpu::simulator::render::{GRID, Rendered, Renderer, Request, STOP, contact_grid};
-use smr_gpu::simulator::scene::{Body, Mix, Own, Placed, Scene, scene_seed};
+use smr_gpu::simulator::scene::{Body, Mix, Negative, Own, Placed, Scene, scene_seed};
 use smr_gpu::simulator::shadow::{Ray, cast};
 use smr_gpu::simulator::smooth;
 use smr_gpu::simulator::snaps::{Kind, Snap, Stud};
@@ -1637,9 +1640,9 @@ fn a_part_of_ones_own_is_a_class() {
         "{said}"
     );
     // A cube is the plain block of its outline, and its own mirror image.
-    assert!(said.contains("cube: a plain block it looks the same, and is left out"), "{said}");
-    assert!(said.contains("cube: mirrored it looks the same"), "{said}");
-    assert!(!said.contains("comb: mirrored"), "{said}");
+    assert!(said.contains("cube-block looks like the part, and is left out"), "{said}");
+    assert!(said.contains("cube-mirror looks like the part"), "{said}");
+    assert!(!said.contains("comb-mirror"), "{said}");
     let text = std::fs::read_to_string(file("set/annotations.json")).expect("annotations");
     let coco: serde_json::Value = serde_json::from_str(&text).expect("JSON");
     let names: Vec<_> =
@@ -1666,6 +1669,39 @@ fn a_part_of_ones_own_is_a_class() {
 }
 
 #[test]
+fn a_part_s_negatives_can_be_had_alone() {
+    let comb = Mesh::decode(comb().as_bytes(), mesh::Format::Stl, Unit::Mm).expect("a mesh");
+    let (comb, _) = Relief::of_mesh(&comb, View::default()).expect("a part");
+    let part = OwnPart::new("comb".to_owned(), comb);
+    let negatives = vec![Negative::of("comb-mirror".to_owned(), part.relief.mirrored())];
+    let own = Own { classes: vec![Kind::Own(part)], negatives, negatives_alone: true };
+    let drawn = |own: &Own, seed: u64| {
+        let rng = &mut Pcg64::seed_from_u64(seed);
+        let wide = (&Forced::default(), own);
+        let wide = Scene::sample_wide(rng, [-20.0, -20.0, 20.0, 20.0], Mix::None, None, wide);
+        [Scene::sample(seed, Mix::None, own), wide]
+    };
+    let is_own = |placed: &Placed<Distractor>| matches!(placed.part, Distractor::Relief(_));
+    for seed in 0..40 {
+        for scene in drawn(&own, seed) {
+            // Walls stand beside some, as beside a hook's arm.
+            let is_wall = |placed: &Placed<Distractor>| {
+                matches!(placed.part, Distractor::Arm { .. } | Distractor::Edge { .. })
+            };
+            assert!(scene.snaps.is_empty() && scene.distractors.iter().any(is_own), "{seed}");
+            assert!(scene.distractors.iter().all(|p| is_own(p) || is_wall(p)), "{seed}");
+        }
+    }
+    // Else they are half of what is no snap.
+    let own = Own { negatives_alone: false, ..own };
+    let all: Vec<_> =
+        (0..200).flat_map(|seed| drawn(&own, seed)).flat_map(|s| s.distractors).collect();
+    let share = all.iter().filter(|placed| is_own(placed)).count() as f64 / all.len() as f64;
+    // A standard deviation of 500 draws is 0.02; walls beside arms are no draws.
+    assert!((0.35..0.6).contains(&share), "{share} of {}", all.len());
+}
+
+#[test]
 fn parts_that_cannot_be_are_named() {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("comb.stl"), comb()).expect("written");
@@ -1686,6 +1722,7 @@ fn parts_that_cannot_be_are_named() {
         (&["--part", "metres=metres.stl"], 1, "m would fit"),
         (&["--part", "comb=comb.txt"], 1, "ends in .stl or .obj"),
         (&["--part", "map=map.png"], 2, "expected --map-pixel and --map-height"),
+        (&["--part", "comb=comb.stl", "--look-alike", "comp-cut"], 2, "comb-cut"),
     ] {
         let run = simulate_parts(folder.path(), &[args, &["--count", "1"][..]].concat());
         assert_eq!(run.code, Some(code), "{args:?}: {}", run.stderr);

@@ -1,13 +1,12 @@
 //! Parts of one's own, for `simulate`: what the options name, read from files.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use smr_gpu::simulator::Error;
 use smr_gpu::simulator::mesh::{Mesh, Unit};
 use smr_gpu::simulator::own_part::OwnPart;
 use smr_gpu::simulator::relief::{self, Direction, Relief, Symmetry, View};
-use smr_gpu::simulator::scene::Own;
+use smr_gpu::simulator::scene::{Negative, NegativeShape, Own};
 use smr_gpu::simulator::snaps::Kind;
 
 use super::exit::{Exit, Failure};
@@ -110,9 +109,10 @@ pub(super) fn own(parts: &[PartArg], negatives: &[PathBuf], cad: &CadArgs) -> Re
                 let part = OwnPart::new(name.clone(), read(file, cad)?);
                 describe(&part);
                 for (what, negative) in part.negatives() {
+                    let name = format!("{name}-{what}");
                     match negative {
-                        Some(negative) => own.negatives.push(Arc::new(negative)),
-                        None => tell(format!("{name}: {what} it looks the same, and is left out")),
+                        Some(relief) => own.negatives.push(Negative::of(name, relief)),
+                        None => tell(format!("{name} looks like the part, and is left out")),
                     }
                 }
                 Kind::Own(part)
@@ -120,7 +120,14 @@ pub(super) fn own(parts: &[PartArg], negatives: &[PathBuf], cad: &CadArgs) -> Re
         });
     }
     for file in negatives {
-        own.negatives.push(Arc::new(read(file, cad)?));
+        let name = file.file_stem().unwrap_or(file.as_os_str()).to_string_lossy().into_owned();
+        own.negatives.push(Negative::of(name, read(file, cad)?));
+    }
+    for kind in [Kind::A, Kind::B] {
+        if !own.classes.is_empty() && !own.classes.contains(&kind) {
+            let (name, shape) = (kind.name().to_owned(), NegativeShape::Snap(kind));
+            own.negatives.push(Negative { name, shape });
+        }
     }
     Ok(own)
 }

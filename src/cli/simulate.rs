@@ -13,7 +13,7 @@ use smr_gpu::simulator::distractors::Part;
 use smr_gpu::simulator::forced::Forced;
 use smr_gpu::simulator::given::Given;
 use smr_gpu::simulator::render::Request;
-use smr_gpu::simulator::scene::Mix;
+use smr_gpu::simulator::scene::{Mix, Own};
 
 use super::detector::sensor;
 use super::exit::{Exit, Failure};
@@ -77,9 +77,11 @@ pub(super) struct Args {
     #[command(flatten)]
     cad: CadArgs,
 
-    /// Narrow what is no snap to one kind (wide conditions, or a sensor's).
-    #[arg(long, value_enum)]
-    look_alike: Option<Part>,
+    /// Narrow what is no snap to one kind: arm, block, tab, ring, screw, nut, ball, prism, bracket, letters, rib,
+    /// edge, pin, clutter or nothing (wide conditions, or a sensor's); beside --part also what belongs to a part, as
+    /// NAME-block, NAME-cut and NAME-mirror, or the name of a --negative, A or B.
+    #[arg(long, value_name = "KIND")]
+    look_alike: Option<String>,
 
     /// Set conditions for all pictures, KEY or KEY=VALUE, separated by commas (wide conditions, or a sensor's).
     ///
@@ -153,6 +155,12 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let Args { out, count, seed, kind, conditions, press, sensor, look_alike, mut force, .. } =
         args;
     let plain = conditions == Conditions::Plain;
+    let mut own = parts::own(&args.part, &args.negative, &args.cad)?;
+    let narrowed = look_alike.is_some();
+    let look_alike = match look_alike {
+        Some(name) => only(&name, &mut own)?,
+        None => None,
+    };
     if plain && sensor.is_none() && (look_alike.is_some() || force != Forced::default()) {
         return Err(Failure::usage("--look-alike and --force need --conditions wide or --sensor"));
     }
@@ -161,7 +169,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             "--press needs --conditions plain and a snap: --kind a, b or mixed",
         ));
     }
-    if look_alike.is_some() && kind == Mix::Bare {
+    if narrowed && kind == Mix::Bare {
         let message = "--look-alike needs a --kind that shows parts, not --kind bare";
         return Err(Failure::usage(message));
     }
@@ -178,7 +186,6 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         true => Distribution::Plain,
         false => Distribution::Wide,
     };
-    let own = parts::own(&args.part, &args.negative, &args.cad)?;
     if !own.classes.is_empty() && matches!(kind, Mix::A | Mix::B) {
         return Err(Failure::usage(
             "--kind a and b are for A and B: with --part, mixed, none or bare",
@@ -216,6 +223,27 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         output::count(summary.snaps, "snap")
     ));
     Ok(Exit::Done)
+}
+
+/// The kind of look-alike of this name; one of a part's own is left alone in `own`.
+///
+/// # Errors
+/// [`Exit::Usage`] where there is none.
+fn only(name: &str, own: &mut Own) -> Result<Option<Part>, Failure> {
+    if let Ok(part) = Part::from_str(name, true) {
+        return Ok(Some(part));
+    }
+    if !own.negatives.iter().any(|negative| negative.name == name) {
+        let kinds = Part::value_variants().iter().filter_map(ValueEnum::to_possible_value);
+        let kinds = kinds.map(|kind| kind.get_name().to_owned());
+        let names = own.negatives.iter().map(|negative| negative.name.clone());
+        let all: Vec<String> = kinds.chain(names).collect();
+        let all = all.join(", ");
+        return Err(Failure::usage(format!("--look-alike: expected one of {all}, got {name}")));
+    }
+    own.negatives.retain(|negative| negative.name == name);
+    own.negatives_alone = true;
+    Ok(None)
 }
 
 fn exit_of(error: &Error) -> Exit {

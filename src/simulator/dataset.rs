@@ -34,7 +34,7 @@ use super::label::Label;
 use super::raster::Raster;
 use super::relief::Relief;
 use super::render::{Rendered, Renderer, Request};
-use super::scene::{Mix, scene_seed};
+use super::scene::{Mix, NegativeShape, scene_seed};
 use super::snaps::Kind;
 use super::{Error, on_threads};
 use crate::files;
@@ -112,9 +112,11 @@ struct Origin {
     press: bool,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     classes: Vec<OwnClass>,
-    /// Digests of shapes that are no snaps.
+    /// Digests of shapes that are no snaps; names of kinds that are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     negatives: Vec<String>,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    negatives_alone: bool,
 }
 
 /// A class of one's own, as a folder was made with it.
@@ -146,7 +148,15 @@ impl Origin {
             sensor: sensor.as_ref().map(|given| given.sensor().clone()),
             press: *press,
             classes: own.classes.iter().map(class).collect(),
-            negatives: own.negatives.iter().map(|relief| digest(relief)).collect(),
+            negatives: own
+                .negatives
+                .iter()
+                .map(|negative| match &negative.shape {
+                    NegativeShape::Relief(relief) => digest(relief),
+                    NegativeShape::Snap(kind) => kind.name().to_owned(),
+                })
+                .collect(),
+            negatives_alone: own.negatives_alone,
         }
     }
 }

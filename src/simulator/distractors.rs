@@ -10,7 +10,7 @@ use super::forced::Forced;
 use super::options::Drive;
 use super::outline::{rectangle, rounded_edge, smooth_min, stroke};
 use super::relief::Relief;
-use super::snaps::Stud;
+use super::snaps::{Snap, Stud};
 
 /// A line from point to point, in millimetres.
 pub type Line = [[f64; 2]; 2];
@@ -144,6 +144,8 @@ pub enum Distractor {
     Clutter(Clutter),
     /// A shape from a file.
     Relief(Arc<Relief>),
+    /// A snap of a kind that is not asked for.
+    Snap(Box<Snap>),
     /// Raised letters.
     Lettering {
         /// The letters' strokes.
@@ -358,6 +360,7 @@ impl Distractor {
             Self::Ring(stud) => stud.height(x, y),
             Self::Clutter(thing) => thing.height(x, y),
             Self::Relief(relief) => relief.height(x, y),
+            Self::Snap(snap) => snap.height(x, y),
             Self::Nut { half_width, hole, chamfer } => {
                 let r = x.hypot(y);
                 let inside = (half_width - hexagon(x, y)).min(r - hole);
@@ -400,6 +403,7 @@ impl Distractor {
             Self::Ring(stud) => Some([stud.diameter / 2.0, stud.diameter / stud.oval / 2.0]),
             Self::Clutter(thing) => Some(thing.half_size()),
             Self::Relief(relief) => Some(relief.half_size()),
+            Self::Snap(snap) => Some(snap.half_size()),
             Self::Nut { half_width, .. } => Some([half_width / 0.75f64.sqrt(), *half_width]),
             Self::Lettering { half, half_width, .. } => {
                 Some([half[0] + half_width, half[1] + half_width])

@@ -4,8 +4,6 @@
 //! without look-alikes beside them. Most snaps lie in the picture as a whole, 15 % are cut by its
 //! edge, and some touch another part.
 
-use std::sync::Arc;
-
 use glam::DVec2;
 use rand::RngExt;
 use rand::seq::IndexedRandom;
@@ -13,7 +11,6 @@ use rand_pcg::Pcg64;
 
 use super::distractors::{Distractor, Part};
 use super::forced::Forced;
-use super::relief::Relief;
 use super::scene::{Mix, Own, Placed, Scene, sample_tilt, sample_yaw};
 use super::snaps::{Hook, Kind, Snap};
 
@@ -105,9 +102,7 @@ fn footprint(placed: &Placed<Distractor>) -> Footprint {
 struct Layout<'a> {
     rng: &'a mut Pcg64,
     forced: &'a Forced,
-    classes: &'a [Kind],
-    /// Own shapes that are no snaps.
-    negatives: &'a [Arc<Relief>],
+    own: &'a Own,
     visible: Region,
     scene: Scene,
     taken: Vec<Footprint>,
@@ -125,10 +120,7 @@ impl Scene {
         (forced, own): (&Forced, &Own),
     ) -> Self {
         let scene = Self { snaps: Vec::new(), distractors: Vec::new() };
-        // One kind of look-alike is that kind alone.
-        let negatives = if part.is_none() { &own.negatives[..] } else { &[] };
-        let (classes, taken) = (&own.classes[..], Vec::new());
-        let mut layout = Layout { rng, forced, classes, negatives, visible, scene, taken };
+        let mut layout = Layout { rng, forced, own, visible, scene, taken: Vec::new() };
         layout.fill(mix, part);
         layout.scene
     }
@@ -148,12 +140,11 @@ impl Layout<'_> {
         if without {
             // Now and then bare gel.
             let count = match self.rng.random_range(0..20) {
-                0 if part.is_none() => 0,
+                0 if part.is_none() && !self.own.negatives_alone => 0,
                 0..13 => 1,
                 _ => self.rng.random_range(1..=room),
             };
             for _ in 0..count {
-                let part = self.draw_part(part);
                 self.add_other(part);
             }
             return;
@@ -165,7 +156,7 @@ impl Layout<'_> {
             _ => 4,
         };
         for _ in 0..count.min(room) {
-            let kind = mix.kind(self.rng, self.classes);
+            let kind = mix.kind(self.rng, &self.own.classes);
             self.add_snap(&kind);
         }
         let touching = self.rng.random_bool(0.15) && !self.forced.mild;
@@ -174,7 +165,6 @@ impl Layout<'_> {
         }
         if self.rng.random_bool(0.5) {
             for _ in 0..self.rng.random_range(1..=room) {
-                let part = self.draw_part(part);
                 self.add_other(part);
             }
         }
@@ -316,13 +306,15 @@ impl Layout<'_> {
         parts.into_iter().map(place).collect()
     }
 
-    fn add_other(&mut self, part: Part) {
-        let negatives = self.negatives;
-        let is_own = !negatives.is_empty() && self.rng.random_bool(0.5);
-        let shape = match is_own {
-            true => negatives.choose(self.rng).map(|relief| Distractor::Relief(relief.clone())),
-            false => Distractor::sample_wide(self.rng, part, self.forced),
+    /// `only` narrows it to one kind.
+    fn add_other(&mut self, only: Option<Part>) {
+        let part = self.draw_part(only);
+        let forced = self.forced;
+        let own = match only {
+            None => self.own.negative(self.rng, |rng, kind| Snap::sample_wide(rng, kind, forced)),
+            Some(_) => None,
         };
+        let shape = own.or_else(|| Distractor::sample_wide(self.rng, part, forced));
         let Some(shape) = shape else { return };
         let depth_mm = match shape {
             // A ball is calibrated with: as deep as its half sphere, so that its whole outline shows.
@@ -350,6 +342,7 @@ impl Layout<'_> {
             return;
         };
         let walled = self.rng.random_bool(0.4);
+        // One's own negatives stand in for any kind, with a wall as often as a hook's arm would have one.
         let walled = part == Part::Arm && self.forced.wall.unwrap_or(walled);
         let tilt = sample_tilt(self.rng, if walled { 1.0 } else { 3.0 });
         let cut = self.rng.random_bool(CUT);

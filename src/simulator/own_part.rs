@@ -47,15 +47,15 @@ impl OwnPart {
         rng.random_range(SHALLOWEST_MM..most)
     }
 
-    /// What is easily taken for the part, each with what it is: a plain block of its outline, the part without
-    /// its top third, and its mirror image. `None` in place of a shape that looks like the part itself, in the
+    /// What is easily taken for the part, by name: `block`, a plain one of its outline, `cut`, the part without
+    /// its top third, and `mirror`, its mirror image. `None` in place of a shape that looks like the part itself, in the
     /// deepest press.
     pub fn negatives(&self) -> [(&'static str, Option<Relief>); 3] {
         let relief = &self.relief;
         [
-            ("a plain block", relief.block(DEEPEST_MM)),
-            ("without its top third", relief.without_top(TOP, DEEPEST_MM)),
-            ("mirrored", relief.mirrored()),
+            ("block", relief.block(DEEPEST_MM)),
+            ("cut", relief.without_top(TOP, DEEPEST_MM)),
+            ("mirror", relief.mirrored()),
         ]
         .map(|(what, other)| {
             (what, Some(other).filter(|other| !other.looks_like(relief, DEEPEST_MM)))

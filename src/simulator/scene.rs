@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use glam::DVec2;
+use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -90,13 +91,62 @@ impl Mix {
     }
 }
 
+/// Something that is no snap, but easily taken for one of a user's own.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Negative {
+    /// Its name, for people.
+    pub name: String,
+    /// Its shape.
+    pub shape: NegativeShape,
+}
+
+/// The shape of a [`Negative`].
+#[derive(Debug, Clone, PartialEq)]
+pub enum NegativeShape {
+    /// One and the same.
+    Relief(Arc<Relief>),
+    /// A snap of a kind that is no class, drawn anew each time.
+    Snap(Kind),
+}
+
+impl Negative {
+    /// One and the same shape.
+    pub fn of(name: String, relief: Relief) -> Self {
+        Self { name, shape: NegativeShape::Relief(Arc::new(relief)) }
+    }
+
+    fn sample(&self, rng: &mut Pcg64, snap: impl Fn(&mut Pcg64, &Kind) -> Snap) -> Distractor {
+        match &self.shape {
+            NegativeShape::Relief(relief) => Distractor::Relief(relief.clone()),
+            NegativeShape::Snap(kind) => Distractor::Snap(Box::new(snap(rng, kind))),
+        }
+    }
+}
+
 /// A user's own classes and what else is taken for them.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Own {
     /// The classes in their order; none for A and B.
     pub classes: Vec<Kind>,
-    /// Shapes that are no snaps.
-    pub negatives: Vec<Arc<Relief>>,
+    /// What is no snap: half of all that is drawn beside snaps or in place of them.
+    pub negatives: Vec<Negative>,
+    /// Whether all that is no snap is one of these, and every picture without a snap shows one at least.
+    pub negatives_alone: bool,
+}
+
+impl Own {
+    /// Draws one of the negatives, or none: then something else is drawn that is no snap. `snap` draws one of
+    /// this kind.
+    pub(super) fn negative(
+        &self,
+        rng: &mut Pcg64,
+        snap: impl Fn(&mut Pcg64, &Kind) -> Snap,
+    ) -> Option<Distractor> {
+        if self.negatives.is_empty() || !(self.negatives_alone || rng.random_bool(0.5)) {
+            return None;
+        }
+        self.negatives.choose(rng).map(|negative| negative.sample(rng, snap))
+    }
 }
 
 /// Everything that touches the gel.
@@ -136,18 +186,16 @@ impl Scene {
         }
         let touched = match mix {
             Mix::Bare => 0.0,
+            Mix::None if own.negatives_alone => 1.0,
             Mix::None => 0.9,
             Mix::A | Mix::B | Mix::Mixed => 0.5,
         };
         let count = if rng.random_bool(touched) { rng.random_range(1..=3) } else { 0 };
         for _ in 0..count {
-            let part = match mix {
-                _ if !own.negatives.is_empty() && rng.random_bool(0.5) => {
-                    let at = rng.random_range(0..own.negatives.len());
-                    Distractor::Relief(own.negatives[at].clone())
-                }
-                Mix::None if rng.random_bool(0.3) => Distractor::ball(rng),
-                _ => Distractor::sample(rng),
+            let part = match own.negative(rng, Snap::sample) {
+                Some(negative) => negative,
+                None if mix == Mix::None && rng.random_bool(0.3) => Distractor::ball(rng),
+                None => Distractor::sample(rng),
             };
             scene.add_distractor(rng, part);
         }

@@ -10,6 +10,7 @@ use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
 use imageproc::drawing::{draw_filled_rect_mut, draw_polygon_mut, draw_text_mut, text_size};
 use imageproc::point::Point;
 use imageproc::rect::Rect;
+use plotters::style::RGBColor;
 use smr_gpu::files::{self, Outputs};
 use smr_gpu::{Detection, Detections};
 
@@ -18,6 +19,19 @@ use super::names::shown;
 use super::source::Source;
 
 pub(super) const FONT: &[u8] = include_bytes!("../../assets/font/DejaVuSans-Bold.ttf");
+
+/// The family that [`FONT`] goes by in charts.
+pub(super) const FONT_FAMILY: &str = "sans-serif";
+/// Colours of charts' lines: Okabe and Ito's palette, which colour-blind eyes tell apart.
+pub(super) const CHART_COLOURS: [RGBColor; 7] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(230, 159, 0),
+    RGBColor(86, 180, 233),
+    RGBColor(90, 90, 90),
+];
 
 /// A colour a class, from Okabe and Ito's palette: they differ for colour-blind eyes too, and all
 /// are light enough for black letters.

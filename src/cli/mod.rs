@@ -24,6 +24,7 @@ mod probe;
 mod simulate;
 mod source;
 mod stdout;
+mod teach;
 mod tensors;
 mod tradeoff;
 mod tune;
@@ -63,6 +64,7 @@ enum Command {
     #[command(hide = true, name = probe::COMMAND)]
     LookForAdapters,
     Simulate(Box<simulate::Args>),
+    Teach(Box<teach::Args>),
     Calibrate(calibrate::Args),
     Weights(weights::Args),
 }
@@ -108,6 +110,7 @@ fn parse_and_run() -> Result<Exit, Failure> {
         Command::TradeoffPeak(args) => tradeoff::run_peak(args),
         Command::LookForAdapters => probe::answer(),
         Command::Simulate(args) => simulate::run(*args),
+        Command::Teach(args) => teach::run(*args),
         Command::Calibrate(args) => calibrate::run(args),
         Command::Weights(args) => weights::run(args),
     }

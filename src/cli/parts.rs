@@ -1,5 +1,6 @@
 //! Parts of one's own, for `simulate`: what the options name, read from files.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 use smr_gpu::simulator::Error;
@@ -62,6 +63,16 @@ impl PartArg {
     }
 }
 
+impl fmt::Display for PartArg {
+    /// As it is typed.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::A | Self::B => f.write_str(self.name()),
+            Self::Own { name, file } => write!(f, "{name}={}", shown(file.as_os_str())),
+        }
+    }
+}
+
 fn direction(text: &str) -> Result<Direction, String> {
     Direction::named(text).ok_or_else(|| "expected x, y, z, -x, -y or -z".to_owned())
 }
@@ -82,6 +93,19 @@ pub(super) fn part(text: &str) -> Result<PartArg, String> {
         Some((name, _)) if name.trim().is_empty() => Err("expected a name before `=`".to_owned()),
         Some((_, "")) => Err("expected a file behind `=`".to_owned()),
         Some((name, file)) => Ok(PartArg::Own { name: name.trim().into(), file: file.into() }),
+    }
+}
+
+/// Parses what [`part`] does, or a file alone: then the part is called as that is.
+///
+/// # Errors
+/// In words.
+pub(super) fn part_or_file(text: &str) -> Result<PartArg, String> {
+    let file = Path::new(text);
+    match file.file_stem().map(|stem| stem.to_string_lossy().trim().to_owned()) {
+        _ if matches!(text, "A" | "B") || text.contains('=') => part(text),
+        Some(name) if !name.is_empty() => Ok(PartArg::Own { name, file: file.into() }),
+        _ => Err("expected NAME=FILE, FILE, A or B".to_owned()),
     }
 }
 

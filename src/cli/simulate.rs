@@ -135,7 +135,7 @@ enum Conditions {
 ///
 /// # Errors
 /// In words.
-fn drawable(text: &str) -> Result<Sensor, String> {
+pub(super) fn drawable(text: &str) -> Result<Sensor, String> {
     let has_frame = |sensor: &Sensor| sensor.frame.is_some();
     let names = || {
         let drawn = |name: &&str| Sensor::named(name).is_some_and(|sensor| has_frame(&sensor));
@@ -214,7 +214,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         bar.set_position(bar.position().max(done as u64));
     });
     bar.finish_and_clear();
-    let summary = result.map_err(|error| Failure::new(exit_of(&error), error))?;
+    let summary = result.map_err(failure)?;
     tell(format!(
         "{}: {} ({} new), {}",
         settings.out.join("annotations.json").display(),
@@ -246,10 +246,12 @@ fn only(name: &str, own: &mut Own) -> Result<Option<Part>, Failure> {
     Ok(None)
 }
 
-fn exit_of(error: &Error) -> Exit {
-    match error {
+/// What of the simulator's errors the program ends with.
+pub(super) fn failure(error: Error) -> Failure {
+    let exit = match error {
         Error::OtherDataset { .. } | Error::NoScene { .. } => Exit::Usage,
         // The simulator reads nothing but what it wrote, and another run may write there.
         _ => Exit::Output,
-    }
+    };
+    Failure::new(exit, error)
 }

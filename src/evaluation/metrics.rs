@@ -206,10 +206,9 @@ impl Ranking {
         Self { truths, hits }
     }
 
-    /// Average precision as the COCO evaluation defines it: the mean of the highest precision at or
-    /// beyond each of 101 recalls. Picture `i` counts `copies(i)` times, as if it were there so often.
-    /// `None` without truths.
-    pub fn average_precision(&self, copies: impl Fn(usize) -> usize) -> Option<f64> {
+    /// Recall and the highest precision at or beyond it, box by box from the best. Picture `i` counts `copies(i)`
+    /// times, as if it were there so often. `None` without truths.
+    pub fn curve(&self, copies: impl Fn(usize) -> usize) -> Option<Vec<(f64, f64)>> {
         let truths: usize = self.truths.iter().enumerate().map(|(i, n)| n * copies(i)).sum();
         if truths == 0 {
             return None;
@@ -229,6 +228,13 @@ impl Ranking {
         for i in (1..curve.len()).rev() {
             curve[i - 1].1 = curve[i - 1].1.max(curve[i].1);
         }
+        Some(curve)
+    }
+
+    /// Average precision as the COCO evaluation defines it: the mean of the highest precision at or
+    /// beyond each of 101 recalls. `copies` and `None` as of [`curve`](Self::curve).
+    pub fn average_precision(&self, copies: impl Fn(usize) -> usize) -> Option<f64> {
+        let curve = self.curve(copies)?;
         let precision_at = |recall: f64| {
             let first = curve.partition_point(|(r, _)| *r < recall);
             curve.get(first).map_or(0.0, |(_, precision)| *precision)

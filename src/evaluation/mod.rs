@@ -307,6 +307,28 @@ pub fn figures(seen: &[Seen], classes: &[usize], conf: f64) -> Figures {
     figures
 }
 
+/// Recall and precision of a class at an overlap of [`RIGHT_IOU`], box by box from the best
+/// ([`Ranking::curve`]); nothing without a snap of that class.
+pub fn precision_recall(seen: &[Seen], class: usize) -> Vec<(f64, f64)> {
+    let boxes: Vec<_> = seen.iter().map(|p| p.of_class(class).above(LEAST_SCORE)).collect();
+    Ranking::new(&boxes, RIGHT_IOU, Areas::ALL).curve(|_| 1).unwrap_or_default()
+}
+
+/// What snaps are taken for: of each of `classes` how many snaps that count are best overlapped, by at least
+/// [`RIGHT_IOU`], by a box above `conf` of each class, and by none.
+pub fn confusion(seen: &[Seen], classes: usize, conf: f64) -> Vec<Vec<usize>> {
+    let mut counts = vec![vec![0; classes + 1]; classes];
+    for picture in seen {
+        for snap in picture.snaps.iter().filter(|s| !s.truth.crowd && !s.truth.ignored) {
+            let over = picture.found.iter().filter(|f| f.scored.score > conf);
+            let over = over.map(|f| (f.class, snap.truth.overlap(f.scored.bbox)));
+            let best = over.filter(|(_, iou)| *iou >= RIGHT_IOU).max_by(|a, b| a.1.total_cmp(&b.1));
+            counts[snap.class][best.map_or(classes, |(class, _)| class)] += 1;
+        }
+    }
+    counts
+}
+
 fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (sum, n) = values.fold((0.0, 0), |(sum, n), value| (sum + value, n + 1));
     (n > 0).then(|| sum / f64::from(n))
@@ -365,6 +387,21 @@ pub(super) mod tests {
         assert_eq!((nothing.mean_best_iou, nothing.ap50), (None, None));
         assert_eq!(nothing.interval_95, Intervals::default());
         assert_eq!(figures(&[], &[0, 1], 0.5), Figures::default());
+    }
+
+    #[test]
+    fn precision_falls_with_recall_and_snaps_are_taken_for_others() {
+        // By score: right, wrong, right; one snap of three is not found.
+        let first = seen(
+            vec![snap(0, 0.0, &[]), snap(0, 30.0, &[]), snap(0, 60.0, &[])],
+            vec![found(0, 0.0, 0.9), found(0, 90.0, 0.8), found(0, 31.0, 0.7), found(1, 60.0, 0.6)],
+        );
+        let pictures = [first, seen(vec![snap(1, 0.0, &[])], vec![found(1, 0.0, 0.4)])];
+        // The precision of 1/2 at the second box is hidden behind the 2/3 of the third.
+        let expected = [(1.0 / 3.0, 1.0), (1.0 / 3.0, 2.0 / 3.0), (2.0 / 3.0, 2.0 / 3.0)];
+        assert_eq!(precision_recall(&pictures, 0), expected);
+        assert_eq!(precision_recall(&pictures[..1], 1), []);
+        assert_eq!(confusion(&pictures, 2, 0.5), [[2, 1, 0], [0, 0, 1]]);
     }
 
     #[test]

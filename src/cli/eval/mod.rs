@@ -1,7 +1,7 @@
 //! `smr-gpu eval`: how good the detections are on labelled pictures.
 
 mod print;
-mod sheet;
+pub(super) mod sheet;
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -93,9 +93,9 @@ pub(super) struct Labelled {
 
 /// What labels state of pictures that counts: what the options say goes before.
 #[derive(Clone, Copy)]
-struct Stated {
-    scale: bool,
-    gel: bool,
+pub(super) struct Stated {
+    pub scale: bool,
+    pub gel: bool,
 }
 
 impl Stated {
@@ -108,11 +108,11 @@ impl Stated {
 }
 
 /// A set of pictures as it was looked at.
-struct Set {
+pub(super) struct Set {
     name: String,
     /// Of those that could be read, each with its place in the set.
-    seen: Vec<Seen>,
-    places: Vec<usize>,
+    pub seen: Vec<Seen>,
+    pub places: Vec<usize>,
     /// Of how many the scale was assumed.
     assumed: usize,
     failed: usize,
@@ -301,7 +301,7 @@ fn each_once(folders: &[PathBuf]) -> Result<(), Failure> {
 }
 
 /// Detects in all pictures of a set. Those that fail are told of and counted.
-fn detect_all(
+pub(super) fn detect_all(
     detector: &GpuDetector,
     name: &str,
     pictures: &[Labelled],

@@ -19,26 +19,49 @@ const WHITE: Rgb<u8> = Rgb([255, 255, 255]);
 
 /// The worst pictures, the very worst first: snaps in white, boxes above `conf` in their classes'
 /// colours. Each comes with its labels and what was seen. `None` if all are right to the pixel.
-pub(super) fn worst(
+pub(in super::super) fn worst(
     pictures: &[(&Labelled, &Seen)],
     classes: &[String],
     conf: f32,
 ) -> Option<RgbImage> {
     let badness = |seen: &Seen| seen.badness(classes.len(), conf.into());
-    let mut worst: Vec<(f64, &Labelled, &Seen)> =
+    let mut worst: Vec<Shown> =
         pictures.iter().map(|(labelled, seen)| (badness(seen), *labelled, *seen)).collect();
     worst.retain(|(badness, ..)| *badness > 0.0);
     worst.sort_by(|a, b| b.0.total_cmp(&a.0));
-    worst.truncate(PICTURES);
-    if worst.is_empty() {
+    draw(worst, classes, conf)
+}
+
+/// The best pictures that show a snap, the very best first, as [`worst`] draws them. `None` if none does.
+pub(in super::super) fn best(
+    pictures: &[(&Labelled, &Seen)],
+    classes: &[String],
+    conf: f32,
+) -> Option<RgbImage> {
+    let shown = pictures.iter().filter(|(_, seen)| !seen.snaps.is_empty());
+    // Of one snap and of three alike.
+    let lack = |seen: &Seen| seen.badness(classes.len(), conf.into()) / seen.snaps.len() as f64;
+    let mut best: Vec<Shown> =
+        shown.map(|(labelled, seen)| (lack(seen), *labelled, *seen)).collect();
+    best.sort_by(|a, b| a.0.total_cmp(&b.0));
+    draw(best, classes, conf)
+}
+
+/// How far off a picture is, its labels, and what was seen.
+type Shown<'a> = (f64, &'a Labelled, &'a Seen);
+
+/// The first pictures on one sheet.
+fn draw(mut shown: Vec<Shown>, classes: &[String], conf: f32) -> Option<RgbImage> {
+    shown.truncate(PICTURES);
+    if shown.is_empty() {
         return None;
     }
-    let (columns, rows) = (worst.len().min(COLUMNS), worst.len().div_ceil(COLUMNS));
+    let (columns, rows) = (shown.len().min(COLUMNS), shown.len().div_ceil(COLUMNS));
     let (wide, high) = (SIDE + GAP, SIDE + CAPTION + GAP);
     let mut sheet =
         RgbImage::from_pixel(columns as u32 * wide + GAP, rows as u32 * high + GAP, WHITE);
     let artist = Artist::new(classes);
-    for (number, (badness, labelled, seen)) in worst.into_iter().enumerate() {
+    for (number, (badness, labelled, seen)) in shown.into_iter().enumerate() {
         let (x, y) =
             ((number % COLUMNS) as u32 * wide + GAP, (number / COLUMNS) as u32 * high + GAP);
         // It was read a moment ago; if it is gone since, its place stays empty.

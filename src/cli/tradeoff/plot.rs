@@ -10,7 +10,7 @@ use plotters::style::FontStyle;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use smr_gpu::evaluation::tradeoff::{Measured, Table};
 
-use super::super::draw::FONT;
+use super::super::draw::{CHART_COLOURS as COLOURS, FONT, FONT_FAMILY as FAMILY};
 use super::super::output::count;
 
 /// Width of the picture, and of its height what does not depend on the front's length.
@@ -18,21 +18,8 @@ const WIDTH: u32 = 1200;
 const HEIGHT: u32 = 640;
 /// Height of a line of the key.
 const LINE: u32 = 26;
-/// The family that the program's own font goes by.
-const FAMILY: &str = "sans-serif";
 /// A shift below this is drawn as this: a thousandth of a micrometre.
 const LEAST_MM: f64 = 1e-6;
-/// Okabe and Ito's palette, which colour-blind eyes tell apart.
-const COLOURS: [RGBColor; 7] = [
-    RGBColor(0, 114, 178),
-    RGBColor(213, 94, 0),
-    RGBColor(0, 158, 115),
-    RGBColor(204, 121, 167),
-    RGBColor(230, 159, 0),
-    RGBColor(86, 180, 233),
-    RGBColor(90, 90, 90),
-];
-
 /// A plot in both formats.
 pub(super) struct Plots {
     pub png: Vec<u8>,

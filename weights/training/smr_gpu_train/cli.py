@@ -48,6 +48,7 @@ def parser() -> argparse.ArgumentParser:
     fit = commands.add_parser("fit", help="train on labelled pictures; ends with OUT/weights.safetensors")
     fit.add_argument("--out", type=Path, required=True, help="folder of the run")
     fit.add_argument("--resume", action="store_true", help="go on with the run in OUT, as it was begun")
+    fit.add_argument("--estimate", action="store_true", help="check everything and time a few steps, and train nothing; the last line says it as JSON")
     fit.add_argument("--data", type=str, nargs="+", metavar="DIR", help="COCO folders: annotations.json and pictures")
     fit.add_argument("--val", type=str, nargs="+", metavar="DIR", default=[], help="COCO folders that are evaluated now and then, and in the end")
     fit.add_argument("--steps", type=WHOLE, help="of the whole run")
@@ -105,8 +106,10 @@ def _cores() -> int:
 
 def request(args: argparse.Namespace, fit: argparse.ArgumentParser) -> Request:
     """What `fit` is asked for: anew, or what the run in --out was begun with."""
-    given = {name: value for name, value in vars(args).items() if name not in ("command", "out", "resume")}
+    given = {name: value for name, value in vars(args).items() if name not in ("command", "out", "resume", "estimate")}
     if args.resume:
+        if args.estimate:
+            raise Failure("--estimate is for a new run: leave out --resume")
         more = [f"--{name.replace('_', '-')}" for name, value in given.items() if value != fit.get_default(name)]
         if more:
             raise Failure(f"--resume goes on as the run was begun: leave out {', '.join(more)}")
@@ -141,7 +144,7 @@ def command(argv: list[str] | None) -> int:
                 print(line, flush=True)
             from . import fit
 
-            return fit.run(asked, pictures, val, args.out)
+            return (fit.estimate if args.estimate else fit.run)(asked, pictures, val, args.out)
         if args.command == "evaluate":
             from . import evaluate as chosen
         elif args.command == "calibrate":

@@ -230,6 +230,34 @@ class Stopping:
             signal.signal(number, handler)
 
 
+TIMED = 4  # steps of an estimate, after one that warms up
+
+
+def estimate(asked: Request, data: DataSet, val: list[Folder], out: Path) -> int:
+    """Checks all that a run does and times a few steps; the last line says what there is and how long a step takes, as JSON.
+
+    Of files only the small pictures are written, which a run would write too.
+    """
+    torch.set_num_threads(asked.threads)
+    keep_memory()
+    fit = Run(asked, data, val, out)
+    fit.learner.model.train()
+    if asked.keep_statistics:
+        fit.learner.stand()
+    try:
+        fit.train_step()
+        began = time.monotonic()
+        for _ in range(TIMED):
+            fit.train_step()
+        seconds = (time.monotonic() - began) / TIMED
+    finally:
+        fit.loader.shutdown(wait=True, cancel_futures=True)
+    counts = data.counts()
+    said = {"pictures": counts.pictures, "without_snap": counts.bare, "snaps": counts.snaps, "directed": data.directed}
+    print(json.dumps(said | {"device": fit.device, "threads": asked.threads, "seconds_per_step": seconds, "steps": asked.steps}), flush=True)
+    return 0
+
+
 def run(asked: Request, data: DataSet, val: list[Folder], out: Path) -> int:
     torch.set_num_threads(asked.threads)
     keep_memory()

@@ -53,6 +53,15 @@ class Folder:
 
 
 @dataclass
+class Counts:
+    """How much there is to learn from."""
+
+    pictures: int
+    bare: int  # without a snap
+    snaps: dict[str, int]  # by class
+
+
+@dataclass
 class DataSet:
     """Folders, and what their labels are called."""
 
@@ -60,13 +69,17 @@ class DataSet:
     classes: list[str]
     directed: list[str]
 
+    def counts(self) -> Counts:
+        """Of all folders."""
+        pictures = [picture for folder in self.folders for picture in folder.pictures]
+        snaps = Counter(label.category.lower() for picture in pictures for label in picture.labels)
+        return Counts(len(pictures), sum(not picture.labels for picture in pictures), {name: snaps[name.lower()] for name in self.classes})
+
     def summary(self) -> list[str]:
         """What there is to learn from, and what was left out or assumed, in lines."""
-        pictures = [picture for folder in self.folders for picture in folder.pictures]
-        counts = Counter(label.category.lower() for picture in pictures for label in picture.labels)
-        bare = sum(not picture.labels for picture in pictures)
-        snaps = ", ".join(f"{name} {counts[name.lower()]}" + (" (with a direction)" if name in self.directed else "") for name in self.classes)
-        lines = [f"{counted(len(pictures), 'picture')}, {bare} of them without a snap; {counted(sum(counts.values()), 'snap')}: {snaps}"]
+        counts = self.counts()
+        snaps = ", ".join(f"{name} {count}" + (" (with a direction)" if name in self.directed else "") for name, count in counts.snaps.items())
+        lines = [f"{counted(counts.pictures, 'picture')}, {counts.bare} of them without a snap; {counted(sum(counts.snaps.values()), 'snap')}: {snaps}"]
         return lines + [f"{folder.path}: {remark}" for folder in self.folders for remark in folder.remarks]
 
 

@@ -72,6 +72,24 @@ class Fit(unittest.TestCase):
         self.assertEqual(shown.returncode, 0, shown.stderr)
         self.assertIn("Ball_Catch", shown.stdout)
 
+    def test_an_estimate_says_what_a_run_would_take_and_leaves_it_as_it_is(self) -> None:
+        out = self.root / "estimated"
+        begin = ["fit", "--out", out, "--data", self.data, "--network", "small", *TINY]
+        said = json.loads(call(*begin, "--estimate").splitlines()[-1])
+        self.assertEqual([*said], ["pictures", "without_snap", "snaps", "directed", "device", "threads", "seconds_per_step", "steps"])
+        labels = json.loads((self.data / "annotations.json").read_text())["annotations"]
+        self.assertEqual(said["snaps"], {"bayonet": sum(a["category_id"] == 1 for a in labels), "Ball_Catch": sum(a["category_id"] == 2 for a in labels)})
+        self.assertEqual((said["pictures"], said["without_snap"]), (12, 12 - len({a["image_id"] for a in labels})))
+        self.assertEqual((said["directed"], said["threads"], said["steps"]), (["bayonet"], 1, STEPS))
+        self.assertGreater(said["seconds_per_step"], 0)
+        self.assertEqual([file.name for file in out.iterdir()], ["cache"])
+        call(*begin)
+        self.assertEqual((out / "weights.safetensors").read_bytes(), (self.whole / "weights.safetensors").read_bytes())
+        self.assertIn("holds a run", call(*begin, "--estimate", status=2))
+        self.assertIn("leave out --resume", call("fit", "--out", out, "--resume", "--estimate", status=2))
+        # What a run would refuse.
+        self.assertIn("expected a weight file of SMR-Net", call("fit", "--out", self.root / "no", "--data", self.data, "--init", self.data / "annotations.json", *TINY, "--estimate", status=2))
+
     def test_a_run_that_is_killed_or_stopped_goes_on_to_the_same_weights(self) -> None:
         out = self.root / "broken"
         command = [sys.executable, "-m", "smr_gpu_train", "fit", "--out", out]

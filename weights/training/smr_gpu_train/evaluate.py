@@ -11,6 +11,7 @@ import torch
 from . import weightfile
 from .config import Config
 from .files import whole
+from .history import plain
 from .labels import check_labelled, read_folders
 from .metrics import detect_all, figures
 from .pictures import Entry, entries
@@ -41,5 +42,5 @@ def run(args: argparse.Namespace) -> int:
             print(f"{name}: " + ", ".join(f"{k} {v:.4f}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()), flush=True)
     if args.json:
         with whole(args.json) as part:
-            part.write_text(json.dumps(result, indent=1))
+            part.write_text(json.dumps(plain(result), indent=1))
     return 0

@@ -32,6 +32,12 @@ def call(*arguments: object, status: int = 0, room: int = resource.RLIM_INFINITY
     return done.stderr if status not in (0, 130) else done.stdout
 
 
+def history(run: Path) -> list[dict]:
+    """Its lines, without times."""
+    lines = [json.loads(line) for line in (run / "history.jsonl").read_text().splitlines()]
+    return [{key: value for key, value in line.items() if key != "seconds_left"} for line in lines]
+
+
 def classes(file: Path) -> list[str]:
     with safe_open(file, "pt") as saved:
         return json.loads(saved.metadata()["config"])["classes"]
@@ -114,9 +120,54 @@ class Fit(unittest.TestCase):
         self.assertEqual(one.keys(), other.keys())
         for name, tensor in one.items():
             self.assertTrue(torch.equal(tensor, other[name]), name)
+        self.assertEqual(history(out), [line for line in history(self.whole) if "val" not in line])
         self.assertIn("holds a run: give --resume", call("fit", "--out", out, *fresh, status=2))
         call("export", "--run", out, "--out", out / "again.safetensors")
         self.assertEqual((out / "again.safetensors").read_bytes(), (out / "weights.safetensors").read_bytes())
+
+    def test_a_history_is_what_the_log_says_and_goes_on_with_the_run(self) -> None:
+        lines = history(self.whole)
+        self.assertEqual([line["step"] for line in lines], [*range(1, STEPS + 1), STEPS])
+        self.assertEqual(lines[-1]["val"].keys(), {str(self.data)})
+        rows = lines[-1]["val"][str(self.data)]
+        self.assertEqual([*rows], ["bayonet", "Ball_Catch", "all"])
+        self.assertLessEqual({"count", "iou", "ap50"}, rows["bayonet"].keys())
+        self.assertTrue(all(line["steps"] == STEPS and f"loss {line['loss']:.4f}" in self.said for line in lines[:-1]))
+        # Of a run of 25 steps every second is said. It was stopped between two, said more after its last checkpoint, and died in a line.
+        out, once = self.root / "went-on", self.root / "at-once"
+        arguments = ["--data", self.data, "--network", "small", *TINY, "--area", "10000", "--steps", "25"]
+        call("fit", "--out", once, *arguments)
+        command = [sys.executable, "-m", "smr_gpu_train", "fit", "--out", out, *map(str, arguments)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            for line in process.stdout:
+                if "step 8 of 25, " in line:
+                    process.send_signal(signal.SIGKILL)
+        kept = out / "history.jsonl"
+        with open(kept, "a") as opened:
+            opened.write('{"step": 24, "steps": 25, "loss": 9.0}\n{"step": 2')
+        call("fit", "--out", out, "--resume")
+        self.assertEqual(history(out), history(once))
+        self.assertEqual([line["step"] for line in history(out)], [*range(2, 25, 2)])
+
+    def test_a_history_that_cannot_be_written(self) -> None:
+        out = self.root / "mute"
+        (out / "history.jsonl").mkdir(parents=True)
+        arguments = ["fit", "--out", out, "--data", self.data, "--network", "small", *TINY]
+        self.assertIn("history.jsonl: cannot be written", call(*arguments, status=6))
+        (out / "history.jsonl").rmdir()
+        with subprocess.Popen([sys.executable, "-m", "smr_gpu_train", *map(str, arguments[:3]), "--resume"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None and process.stderr is not None
+            for line in process.stdout:
+                if "step 2 of 6, " in line:
+                    (out / "history.jsonl").unlink()
+                    (out / "history.jsonl").mkdir()
+            self.assertIn("history.jsonl: cannot be written", process.stderr.read())
+        self.assertEqual(process.returncode, 6)
+        self.assertGreaterEqual(torch.load(out / "checkpoint.pt", weights_only=True)["step"], 1)
+        (out / "history.jsonl").rmdir()
+        call("fit", "--out", out, "--resume")
+        self.assertEqual((out / "weights.safetensors").read_bytes(), (self.whole / "weights.safetensors").read_bytes())
 
     def test_a_run_goes_on_with_its_own_pictures_alone(self) -> None:
         out, data = self.root / "moved", self.root / "moved-data"
@@ -178,7 +229,7 @@ class Fit(unittest.TestCase):
         out = self.root / "full"
         said = call("fit", "--out", out, "--data", self.data, "--network", "small", *TINY, status=6, room=4_000_000)
         self.assertIn("checkpoint.pt: cannot be written", said)
-        self.assertEqual(sorted(file.name for file in out.iterdir()), ["cache", "run.json"])
+        self.assertEqual(sorted(file.name for file in out.iterdir()), ["cache", "history.jsonl", "run.json"])
         call("fit", "--out", out, "--resume")
         self.assertTrue((out / "weights.safetensors").exists())
         said = call("fit", "--out", self.root / "file" / "run", "--data", self.data, *TINY, status=6)

@@ -37,6 +37,13 @@ def _at_least(least: float, kind: Callable[[str], float]) -> Callable[[str], flo
     return read
 
 
+def _share(text: str) -> float:
+    value = _at_least(0, float)(text)
+    if not 0 < value < 1:
+        raise argparse.ArgumentTypeError(f"expected a share between 0 and 1, got {text}")
+    return value
+
+
 WHOLE, SOME = _at_least(1, int), _at_least(0, float)
 
 
@@ -50,6 +57,8 @@ def parser() -> argparse.ArgumentParser:
     fit.add_argument("--resume", action="store_true", help="go on with the run in OUT, as it was begun")
     fit.add_argument("--estimate", action="store_true", help="check everything and time a few steps, and train nothing; the last line says it as JSON")
     fit.add_argument("--data", type=str, nargs="+", metavar="DIR", help="COCO folders: annotations.json and pictures")
+    fit.add_argument("--mix", type=str, nargs="+", metavar="DIR", default=[], help="further ones, simulated ones, say, whose views are --mix-share of all, however many pictures there are")
+    fit.add_argument("--mix-share", type=_share, default=0.5)
     fit.add_argument("--val", type=str, nargs="+", metavar="DIR", default=[], help="COCO folders that are evaluated now and then, and in the end")
     fit.add_argument("--steps", type=WHOLE, help="of the whole run")
     fit.add_argument("--classes", nargs="+", metavar="NAME", help="in this order; by default the labels' categories")
@@ -118,6 +127,8 @@ def request(args: argparse.Namespace, fit: argparse.ArgumentParser) -> Request:
         raise Failure("fit: expected --data and --steps, or --resume")
     if (args.out / FILE).exists():
         raise Failure(f"{args.out} holds a run: give --resume to go on with it")
+    if args.mix_share != fit.get_default("mix_share") and not args.mix:
+        raise Failure("--mix-share: give --mix, whose share it is")
     brought = ("network", "pixels_per_mm", "mean", "std", "anchor_sizes", "anchor_ratios", "no_safe", "no_msff", "no_rw")
     clash = [f"--{name.replace('_', '-')}" for name in brought if given[name] != fit.get_default(name)]
     if args.init and clash:

@@ -58,8 +58,8 @@ def log(text: str) -> None:
 
 
 def parts_of(data: DataSet, pixels_per_mm: float, out: Path) -> tuple[list[Part], list[str]]:
-    """Each folder's small pictures, and the keys of their content."""
-    found = [cached(folder, data.classes, data.directed, pixels_per_mm, out / "cache") for folder in data.folders]
+    """Each folder's small pictures, those that are mixed in last, and the keys of their content."""
+    found = [cached(folder, data.classes, data.directed, pixels_per_mm, out / "cache") for folder in data.folders + data.mix]
     return [part for part, _ in found], [key for _, key in found]
 
 
@@ -125,8 +125,9 @@ class Run:
         parts, self.keys = parts_of(data, self.config.pixels_per_mm, out)
         if state is not None and self.keys != state["keys"]:
             raise Failure(f"{out}: expected the pictures and labels that the run began with, got others: begin a new one")
-        self.pool = Pool.of(parts, self.config, self.device)
-        pictures = [entry for folder in data.folders for entry in entries(folder, data.classes, data.directed)]
+        own = len(data.folders)
+        self.pool = Pool.of(parts[:own], self.config, self.device, parts[own:], data.mix_share)
+        pictures = [entry for folder in data.folders + data.mix for entry in entries(folder, data.classes, data.directed)]
         thin = narrow(pictures, self.config.pixels_per_mm)
         if thin:
             log(f"{counted(thin, 'box', 'boxes')} narrower than 2 pixels of the network's input left out")

@@ -68,19 +68,26 @@ class DataSet:
     folders: list[Folder]
     classes: list[str]
     directed: list[str]
+    mix: list[Folder] = field(default_factory=list)  # further ones to learn from
+    mix_share: float = 0.0  # of all views, that of `mix`
 
-    def counts(self) -> Counts:
-        """Of all folders."""
-        pictures = [picture for folder in self.folders for picture in folder.pictures]
+    def counts(self, folders: list[Folder] | None = None) -> Counts:
+        """Of these folders, or of all."""
+        pictures = [picture for folder in (folders or self.folders + self.mix) for picture in folder.pictures]
         snaps = Counter(label.category.lower() for picture in pictures for label in picture.labels)
         return Counts(len(pictures), sum(not picture.labels for picture in pictures), {name: snaps[name.lower()] for name in self.classes})
 
     def summary(self) -> list[str]:
         """What there is to learn from, and what was left out or assumed, in lines."""
-        counts = self.counts()
+        lines = [self._line(self.folders)]
+        if self.mix:
+            lines.append(f"mixed in, {100 * self.mix_share:g} % of all views: {self._line(self.mix)}")
+        return lines + [f"{folder.path}: {remark}" for folder in self.folders + self.mix for remark in folder.remarks]
+
+    def _line(self, folders: list[Folder]) -> str:
+        counts = self.counts(folders)
         snaps = ", ".join(f"{name} {count}" + (" (with a direction)" if name in self.directed else "") for name, count in counts.snaps.items())
-        lines = [f"{counted(counts.pictures, 'picture')}, {counts.bare} of them without a snap; {counted(sum(counts.snaps.values()), 'snap')}: {snaps}"]
-        return lines + [f"{folder.path}: {remark}" for folder in self.folders for remark in folder.remarks]
+        return f"{counted(counts.pictures, 'picture')}, {counts.bare} of them without a snap; {counted(sum(counts.snaps.values()), 'snap')}: {snaps}"
 
 
 class Faults:

@@ -16,7 +16,8 @@ sys.path.insert(0, str(HERE))
 
 from smr_gpu_train import cli  # noqa: E402
 from smr_gpu_train.errors import Failure  # noqa: E402
-from smr_gpu_train.labels import data_set, read_folder  # noqa: E402
+from smr_gpu_train.labels import Counts, data_set, read_folder  # noqa: E402
+from smr_gpu_train.request import Request  # noqa: E402
 from smr_gpu_train.sensor import NAMED, Rect, Sensor, view  # noqa: E402
 
 CATEGORIES = [{"id": 1, "name": "bayonet"}, {"id": 7, "name": "ball_catch"}]
@@ -117,6 +118,14 @@ class Folders(unittest.TestCase):
         (folder / "images" / "a" / "0.png").write_bytes(b"")
         self.assertEqual(read_folder(folder).pictures[0].path, folder / "images" / "a" / "0.png")
 
+    def test_a_mix_brings_classes_and_directions(self) -> None:
+        own = self.write("own", annotations=[snap(0, 1, [10, 20, 30, 40])])
+        mix = self.write("mix", images=images(3), categories=[{"id": 2, "name": "Bayonet"}, {"id": 3, "name": "clip"}], annotations=[snap(0, 2, [0, 0, 5, 5], yaw_deg=3.0), snap(1, 3, [0, 0, 5, 5])])
+        data, _ = Request([str(own)], [], 6, mix=[str(mix)], mix_share=0.25, classes=["bayonet", "clip"]).pictures()
+        self.assertEqual(([folder.path for folder in data.folders], [folder.path for folder in data.mix], data.mix_share), ([own], [mix], 0.25))
+        self.assertEqual(data.summary(), ["2 pictures, 1 of them without a snap; 1 snap: bayonet 1 (with a direction), clip 0", "mixed in, 25 % of all views: 3 pictures, 1 of them without a snap; 2 snaps: bayonet 1 (with a direction), clip 1"])
+        self.assertEqual(data.counts(), Counts(5, 2, {"bayonet": 2, "clip": 1}))
+
     def ends(self, arguments: list[str], status: int, wanted: str) -> None:
         """A command ends so, with one line."""
         # Without site packages there is no torch.
@@ -127,6 +136,7 @@ class Folders(unittest.TestCase):
 
     def test_mistakes_end_at_once_in_a_line(self) -> None:
         sound, out = self.write(), self.root / "run"
+        mix = self.write("mix", categories=[{"id": 1, "name": "clip"}], annotations=[snap(0, 1, [10, 20, 30, 40])])
         begin = ["fit", "--out", str(out), "--steps", "6", "--data"]
         for arguments, status, wanted in [
             ([], 2, "the following arguments are required: COMMAND"),
@@ -141,6 +151,10 @@ class Folders(unittest.TestCase):
             ([*begin, str(sound), "--init", str(sound / "0.png"), "--network", "small"], 2, "--init brings its own configuration: leave out --network"),
             ([*begin, str(sound), "--sensor", "papers"], 2, "--sensor: expected paper, gelsight-mini, digit, plain or a sensor file, got papers"),
             ([*begin, str(sound), "--sensor", "paper", "--classes", "a"], 2, "expected labels of a, got `bayonet` (1 snap), `ball_catch` (1 snap)"),
+            *(([*begin, str(sound), "--mix", str(mix), "--mix-share", share], 2, f"--mix-share: expected a share between 0 and 1, got {share}") for share in ("0", "1")),
+            ([*begin, str(sound), "--mix-share", "0.3"], 2, "--mix-share: give --mix, whose share it is"),
+            ([*begin, str(sound), "--mix", str(mix), str(sound)], 2, f"--mix: expected other folders than --data, got {sound}"),
+            ([*begin, str(sound), "--mix", str(mix), "--classes", "bayonet", "ball_catch"], 2, f"{mix}/annotations.json: expected labels of bayonet, ball_catch, got `clip` (1 snap)"),
             (["fit", "--out", str(out), "--resume"], 2, f"{out}: expected a run with run.json, got none"),
             (["fit", "--out", str(out), "--resume", "--steps", "7"], 2, "--resume goes on as the run was begun: leave out --steps"),
             ([*begin, str(sound)], 1, "is not installed: pip install weights/training"),

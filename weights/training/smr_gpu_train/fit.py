@@ -22,7 +22,7 @@ from torch import Tensor
 from torchvision.ops import box_iou
 
 from . import boxes as bx
-from . import history, weightfile
+from . import history, split, weightfile
 from .config import ANCHOR_RATIOS, ANCHOR_SIZES, NETWORKS, Config, Variant
 from .data import scaled, whole_tiles
 from .errors import Failure, counted
@@ -271,6 +271,8 @@ def run(asked: Request, data: DataSet, val: list[Folder], out: Path) -> int:
     torch.set_num_threads(asked.threads)
     keep_memory()
     asked.save(out)
+    if asked.split is not None:
+        split.save(out, asked.split, data.held_out)
     fit = Run(asked, data, val, out)
     fit.history.back(fit.step, asked.steps)
     size = sum(p.numel() for p in fit.learner.model.parameters()) / 1e6

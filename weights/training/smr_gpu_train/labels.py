@@ -70,6 +70,8 @@ class DataSet:
     directed: list[str]
     mix: list[Folder] = field(default_factory=list)  # further ones to learn from
     mix_share: float = 0.0  # of all views, that of `mix`
+    held_out: list[Folder] = field(default_factory=list)  # nothing is learnt from these
+    remarks: list[str] = field(default_factory=list)
 
     def counts(self, folders: list[Folder] | None = None) -> Counts:
         """Of these folders, or of all."""
@@ -82,7 +84,7 @@ class DataSet:
         lines = [self._line(self.folders)]
         if self.mix:
             lines.append(f"mixed in, {100 * self.mix_share:g} % of all views: {self._line(self.mix)}")
-        return lines + [f"{folder.path}: {remark}" for folder in self.folders + self.mix for remark in folder.remarks]
+        return lines + self.remarks + [f"{folder.path}: {remark}" for folder in self.folders + self.mix for remark in folder.remarks]
 
     def _line(self, folders: list[Folder]) -> str:
         counts = self.counts(folders)

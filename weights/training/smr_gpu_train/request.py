@@ -8,6 +8,7 @@ from .errors import Failure, some
 from .files import whole
 from .labels import DataSet, Folder, check_labelled, data_set, read_folders
 from .sensor import Sensor
+from .split import digest, hold_out
 
 FILE = "run.json"
 
@@ -21,6 +22,7 @@ class Request:
     steps: int
     mix: list[str] = field(default_factory=list)
     mix_share: float = 0.5
+    split: float | None = None
     classes: list[str] | None = None
     directed: list[str] | None = None
     sensor: str | None = None
@@ -45,13 +47,21 @@ class Request:
     val_pictures: int = 60
 
     def pictures(self) -> tuple[DataSet, list[Folder]]:
-        """What there is to learn from, and what is only looked at. Raises `Failure`."""
+        """What there is to learn from, and what is only looked at, what is held out too. Raises `Failure`."""
         sensor = Sensor.open(self.sensor) if self.sensor else None
         own, mix, val = (read_folders(option, list(map(Path, paths)), sensor) for option, paths in (("--data", self.data), ("--mix", self.mix), ("--val", self.val)))
         _apart("--mix", mix, own)
         data = data_set(own + mix, self.classes, self.directed)
         check_labelled(val, data.classes)
         data.folders, data.mix, data.mix_share = own, mix, self.mix_share if mix else 0.0
+        if self.split is not None:
+            _apart("--val, beside --split", val, own)
+            data.folders, data.held_out, data.remarks = hold_out(own, self.split)
+            away = {digest(picture) for folder in data.held_out for picture in folder.pictures}
+            again = [str(picture.path) for folder in mix for picture in folder.pictures if digest(picture) in away]
+            if again:
+                raise Failure(f"--mix: expected no picture that is held out, got {some(again)}")
+            val = val + data.held_out
         return data, val
 
     def save(self, out: Path) -> None:

@@ -14,6 +14,7 @@ import tempfile
 import unittest
 from pathlib import Path
 
+import numpy as np
 import torch
 from safetensors import safe_open
 from safetensors.torch import load_file
@@ -95,6 +96,35 @@ class Fit(unittest.TestCase):
         self.assertIn("leave out --resume", call("fit", "--out", out, "--resume", "--estimate", status=2))
         # What a run would refuse.
         self.assertIn("expected a weight file of SMR-Net", call("fit", "--out", self.root / "no", "--data", self.data, "--init", self.data / "annotations.json", *TINY, "--estimate", status=2))
+
+    def test_a_split_is_evaluated_and_a_mix_is_learnt_from(self) -> None:
+        out, mix = self.root / "split", self.root / "mix"
+        subprocess.run([SMR_GPU, "simulate", "--out", mix, "--count", "6", "--seed", "8", "--sensor", "gelsight-mini"], check=True, capture_output=True)
+        labels = mix / "annotations.json"
+        coco = json.loads(labels.read_text())
+        coco["categories"] = json.loads((self.data / "annotations.json").read_text())["categories"]
+        labels.write_text(json.dumps(coco))
+        begin = ["fit", "--out", out, "--data", self.data, "--mix", mix, "--mix-share", "0.3", "--split", "0.25", "--network", "small", *TINY, "--steps", "2"]
+        self.assertEqual(json.loads(call(*begin, "--estimate").splitlines()[-1])["pictures"], 9 + 6)
+        self.assertFalse((out / "split.json").exists())
+        said = call(*begin)
+        self.assertEqual(said.splitlines()[0].split(", ")[0], "9 pictures")
+        self.assertTrue(said.splitlines()[1].startswith("mixed in, 30 % of all views: 6 pictures, "))
+        self.assertIn("3 of 12 pictures held out", said)
+        self.assertEqual(sorted(len(np.load(file)["sizes"]) for file in (out / "cache").iterdir()), [6, 9])
+        split = out / "split.json"
+        held = [row["file"] for row in json.loads(split.read_text())["held_out"]]
+        self.assertEqual((len(held), {Path(file).parent for file in held}), (3, {self.data / "images"}))
+        seen = history(out)[-1]["val"]
+        call("evaluate", "--weights", out / "weights.safetensors", "--data", self.data, "--split", split, "--json", out / "figures.json")
+        # A weight file holds numbers of 16 bits.
+        of_file, of_run = json.loads((out / "figures.json").read_text())[str(self.data)], seen[str(self.data)]
+        self.assertEqual([row["count"] for row in of_file.values()], [row["count"] for row in of_run.values()])
+        labels = json.loads((self.data / "annotations.json").read_text())
+        shown = {image["id"] for image in labels["images"] if str(self.data / image["file_name"]) in held or str(self.data / "images" / image["file_name"]) in held}
+        self.assertEqual(of_file["all"]["count"], sum(a["image_id"] in shown for a in labels["annotations"]))
+        self.assertIn("left as", call("calibrate", "--weights", out / "weights.safetensors", "--data", self.data, "--split", split, "--out", out / "calibrated.safetensors"))
+        self.assertIn("expected --data to have the 3 pictures", call("evaluate", "--weights", out / "weights.safetensors", "--data", mix, "--split", split, status=2))
 
     def test_a_run_that_is_killed_or_stopped_goes_on_to_the_same_weights(self) -> None:
         out = self.root / "broken"

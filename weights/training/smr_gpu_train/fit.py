@@ -271,9 +271,9 @@ def run(asked: Request, data: DataSet, val: list[Folder], out: Path) -> int:
     torch.set_num_threads(asked.threads)
     keep_memory()
     asked.save(out)
+    fit = Run(asked, data, val, out)
     if asked.split is not None:
         split.save(out, asked.split, data.held_out)
-    fit = Run(asked, data, val, out)
     fit.history.back(fit.step, asked.steps)
     size = sum(p.numel() for p in fit.learner.model.parameters()) / 1e6
     log(f"step {fit.step} of {asked.steps} on {fit.device}, {asked.threads} threads, {size:.1f} M parameters, {fit.config.to_dict()}")

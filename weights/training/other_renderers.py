@@ -4,7 +4,7 @@ Sharp shapes as CAD has them; gel that follows by Gaussians, as in Taxim (Si and
 looks: three coloured lamps with highlights on two fields of view, the same under a soft gel, one white lamp, a map of
 the normals, and a gel that darkens with depth. The scenes are `snaps` and other things, other things alone (`none`),
 snaps on a gel with printed dots (`markers`), and hooks with the wall they grow from (`wall`), which is in no box. No
-network was trained on such pictures, or chosen by them.
+network of weights/ was trained on such pictures, or chosen by them.
 
 `other_renderers.py --out OUT --count 100 --seed 1`, then `smr-gpu eval --exact --data OUT/*/`
 
@@ -283,6 +283,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="a folder that is not there yet")
     parser.add_argument("--count", type=int, default=100, help="pictures of each look and scene; of other things alone half as many")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--look", nargs="+", choices=LOOKS, default=[*LOOKS], help="these alone")
+    parser.add_argument("--scene", nargs="+", choices=SCENES, default=[*SCENES], help="these alone")
     parser.add_argument("--part", action="append", default=[], metavar="NAME=MAP.png:MM_PER_PIXEL:MM_AT_WHITE", help="a class that is a height map, several times for several")
     parser.add_argument("--undirected", nargs="*", default=[], metavar="NAME", help="parts without a direction: those that look the same after some turn")
     args = parser.parse_args()
@@ -298,7 +300,7 @@ def main() -> None:
     args.out.mkdir(parents=True)
     for number, look in enumerate(LOOKS):
         for scene_number, scene in enumerate(SCENES):
-            if scene == "wall" and args.part:
+            if look not in args.look or scene not in args.scene or (scene == "wall" and args.part):
                 continue
             rng = np.random.default_rng([args.seed, number, scene_number])
             write(args.out / f"{look}-{scene}", look, scene, args.count // 2 if scene == "none" else args.count, rng, kinds)

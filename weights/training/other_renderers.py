@@ -4,24 +4,31 @@ Sharp shapes as CAD has them; gel that follows by Gaussians, as in Taxim (Si and
 looks: three coloured lamps with highlights on two fields of view, the same under a soft gel, one white lamp, a map of
 the normals, and a gel that darkens with depth. The scenes are `snaps` and other things, other things alone (`none`),
 snaps on a gel with printed dots (`markers`), and hooks with the wall they grow from (`wall`), which is in no box. No
-network was trained on such pictures, or chosen by them.
+network of weights/ was trained on such pictures, or chosen by them.
 
 `other_renderers.py --out OUT --count 100 --seed 1`, then `smr-gpu eval --exact --data OUT/*/`
+
+With `--part NAME=MAP.png:MM_PER_PIXEL:MM_AT_WHITE`, a height map as `smr-gpu simulate --part` takes it, classes are
+such parts in place of hooks and studs. What is easily taken for them, a block of the outline and the part without its
+top third, and hooks and studs are then among the other things, and there are no walls.
 """
 
 import argparse
 import json
+import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 Plane = np.ndarray
 BESIDE = -9.0  # mm: where a part has no height, deeper than any is pressed
 FREE_MM = 12.0  # between the middles of two parts
 MARGIN_MM = 6.0  # between the middle of a part and the edge
+DEEPEST_MM = 1.6  # of a part of one's own what lies deeper is not seen
 
 # In the order of the seeds: a scene's number is part of them.
 SCENES = ("none", "snaps", "markers", "wall")
@@ -105,6 +112,69 @@ SNAPS: dict[str, Callable] = {"A": hook, "B": stud}
 OTHERS: list[Callable] = [block, disc, tube, ball, screw]
 
 
+@dataclass(frozen=True)
+class Kinds:
+    """What there is to draw, and how far apart."""
+
+    snaps: dict[str, Callable]
+    directed: set[str]
+    others: list[Callable]
+    free_mm: float = FREE_MM
+    margin_mm: float = MARGIN_MM
+
+
+BUILT_IN = Kinds(SNAPS, {"A"}, OTHERS)
+
+
+@dataclass(frozen=True)
+class Relief:
+    """A part as a map of its heights, 0 at the highest; x to the right and y down from its middle, yaw 0 as it lies in the map."""
+
+    heights: Plane
+    mm: float
+
+    def __call__(self, rng: np.random.Generator, x: Plane, y: Plane) -> Plane:
+        rows, columns = (v / self.mm + side / 2 - 0.5 for v, side in zip((y, x), self.heights.shape))
+        return map_coordinates(self.heights, [rows, columns], order=1, cval=BESIDE)
+
+    def reach_mm(self) -> float:
+        """Radius about its middle."""
+        return float(np.hypot(*self.heights.shape)) * self.mm / 2
+
+    def look_alikes(self) -> list["Relief"]:
+        """A block of the outline, and the part without its top third, unless they look the same."""
+        seen = np.maximum(self.heights, -DEEPEST_MM)
+        outline = self.heights >= -DEEPEST_MM
+        cut = seen[outline].min() / 3
+        others = [np.where(outline, 0, BESIDE), np.where(self.heights > BESIDE, np.minimum(self.heights, cut) - cut, BESIDE)]
+        return [Relief(other, self.mm) for other in others if abs(np.maximum(other, -DEEPEST_MM) - seen).max() > 0.02]
+
+    @staticmethod
+    def read(text: str) -> "Relief":
+        """Of FILE:MM_PER_PIXEL:MM_AT_WHITE. Raises `ValueError`."""
+        file, *numbers = text.rsplit(":", 2)
+        mm, white = map(float, numbers) if len(numbers) == 2 else (0.0, 0.0)
+        if not (0 < mm <= 1 and 0 < white <= 100):
+            raise ValueError(f"expected FILE:MM_PER_PIXEL:MM_AT_WHITE, got {text}")
+        with Image.open(file) as image:
+            if not image.mode.startswith("I;16"):
+                raise ValueError(f"{file}: expected a grey PNG of 16 bits, got {image.mode}")
+            levels = np.asarray(image)
+        there = levels > 0
+        if not there.any():
+            raise ValueError(f"{file}: expected a height map that shows a part, got one that is black")
+        rows, columns = (slice(v.min(), v.max() + 1) for v in np.nonzero(there))
+        levels, there = levels[rows, columns], there[rows, columns]
+        return Relief(np.where(there, (levels - float(levels.max())) / 65535 * white, BESIDE), mm)
+
+
+def own(parts: dict[str, Relief], undirected: set[str]) -> Kinds:
+    """Such parts as classes, and what is not one of them."""
+    alike = [other for part in parts.values() for other in part.look_alikes()]
+    reach = max(part.reach_mm() for part in parts.values())
+    return Kinds({**parts}, set(parts) - undirected, [*OTHERS, hook, stud, *alike], max(FREE_MM, 2 * reach), max(MARGIN_MM, reach))
+
+
 def pressed(depth: Plane, mm: float, skin_mm: float) -> Plane:
     """The gel's depth where parts reach this deep: it keeps to them, and falls off beside them by Gaussians."""
     contact, gel = depth > 0, depth
@@ -154,19 +224,19 @@ def printed(picture: Plane, gel: Plane, mm: float, rng: np.random.Generator) -> 
     return picture * (1 - 0.85 * gaussian_filter((from_dot < diameter / 2) * 1.0, 0.7))[..., None]
 
 
-def draw(look: str, scene: str, rng: np.random.Generator) -> tuple[Plane, list[dict]]:
+def draw(look: str, scene: str, rng: np.random.Generator, kinds: Kinds = BUILT_IN) -> tuple[Plane, list[dict]]:
     """A picture with its labels."""
     mm, width, height = LOOKS[look]
     half = np.array([width, height]) * mm / 2
     x, y = np.meshgrid((np.arange(width) + 0.5) * mm - half[0], (np.arange(height) + 0.5) * mm - half[1])
     middles, labels, depth = [], [], np.zeros((height, width))
     for _ in range(rng.integers(1, 4)):
-        middle = rng.uniform(-1, 1, 2) * np.maximum(half - MARGIN_MM, 0)
-        if any(np.hypot(*(middle - other)) < FREE_MM for other in middles):
+        middle = rng.uniform(-1, 1, 2) * np.maximum(half - kinds.margin_mm, 0)
+        if any(np.hypot(*(middle - other)) < kinds.free_mm for other in middles):
             continue
         middles.append(middle)
-        kind = rng.choice(list(SNAPS)) if scene != "none" and rng.random() < 0.6 else None
-        part = SNAPS[kind] if kind else OTHERS[rng.integers(len(OTHERS))]
+        kind = rng.choice(list(kinds.snaps)) if scene != "none" and rng.random() < 0.6 else None
+        part = kinds.snaps[kind] if kind else kinds.others[rng.integers(len(kinds.others))]
         yaw = rng.uniform(-np.pi, np.pi)
         dx, dy = x - middle[0], y - middle[1]
         tilt = np.tan(np.radians(rng.uniform(-2, 2, 2)))
@@ -181,8 +251,8 @@ def draw(look: str, scene: str, rng: np.random.Generator) -> tuple[Plane, list[d
         if kind and len(rows):
             left, top = int(columns.min()), int(rows.min())
             box = [left, top, int(columns.max()) + 1 - left, int(rows.max()) + 1 - top]
-            yaw_deg = float(np.degrees(yaw)) if kind == "A" else None
-            labels.append({"category_id": list(SNAPS).index(kind) + 1, "bbox": box, "area": box[2] * box[3], "iscrowd": 0, "yaw_deg": yaw_deg})
+            yaw_deg = float(np.degrees(yaw)) if kind in kinds.directed else None
+            labels.append({"category_id": list(kinds.snaps).index(kind) + 1, "bbox": box, "area": box[2] * box[3], "iscrowd": 0, "yaw_deg": yaw_deg})
     gel = pressed(depth, mm, 0.2 if look == "soft" else 0.08)
     picture = lit(look, gel, mm, rng)
     if scene == "markers":
@@ -194,17 +264,17 @@ def draw(look: str, scene: str, rng: np.random.Generator) -> tuple[Plane, list[d
     return np.clip(picture, 0, 255).astype(np.uint8), labels
 
 
-def write(folder: Path, look: str, scene: str, count: int, rng: np.random.Generator) -> None:
+def write(folder: Path, look: str, scene: str, count: int, rng: np.random.Generator, kinds: Kinds = BUILT_IN) -> None:
     mm, width, height = LOOKS[look]
     (folder / "images").mkdir(parents=True)
     images, annotations = [], []
     for i in range(count):
-        picture, labels = draw(look, scene, rng)
+        picture, labels = draw(look, scene, rng, kinds)
         name = f"{i:06}.png"
         Image.fromarray(picture).save(folder / "images" / name)
         images.append({"id": i, "file_name": name, "width": width, "height": height, "mm_per_pixel": mm})
         annotations += [{"id": len(annotations) + k, "image_id": i, **label} for k, label in enumerate(labels)]
-    categories = [{"id": i + 1, "name": kind} for i, kind in enumerate(SNAPS)]
+    categories = [{"id": i + 1, "name": kind} for i, kind in enumerate(kinds.snaps)]
     (folder / "annotations.json").write_text(json.dumps({"categories": categories, "images": images, "annotations": annotations}))
 
 
@@ -213,12 +283,27 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="a folder that is not there yet")
     parser.add_argument("--count", type=int, default=100, help="pictures of each look and scene; of other things alone half as many")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--look", nargs="+", choices=LOOKS, default=[*LOOKS], help="these alone")
+    parser.add_argument("--scene", nargs="+", choices=SCENES, default=[*SCENES], help="these alone")
+    parser.add_argument("--part", action="append", default=[], metavar="NAME=MAP.png:MM_PER_PIXEL:MM_AT_WHITE", help="a class that is a height map, several times for several")
+    parser.add_argument("--undirected", nargs="*", default=[], metavar="NAME", help="parts without a direction: those that look the same after some turn")
     args = parser.parse_args()
+    kinds = BUILT_IN
+    if args.part:
+        try:
+            parts = {name: Relief.read(text) for name, _, text in (part.partition("=") for part in args.part)}
+            if len(parts) < len(args.part) or not set(args.undirected) <= parts.keys():
+                raise ValueError(f"expected each name once, and --undirected of these, got {', '.join(args.part)}")
+            kinds = own(parts, set(args.undirected))
+        except (OSError, ValueError) as error:
+            sys.exit(f"--part: {error}")
     args.out.mkdir(parents=True)
     for number, look in enumerate(LOOKS):
         for scene_number, scene in enumerate(SCENES):
+            if look not in args.look or scene not in args.scene or (scene == "wall" and args.part):
+                continue
             rng = np.random.default_rng([args.seed, number, scene_number])
-            write(args.out / f"{look}-{scene}", look, scene, args.count // 2 if scene == "none" else args.count, rng)
+            write(args.out / f"{look}-{scene}", look, scene, args.count // 2 if scene == "none" else args.count, rng, kinds)
 
 
 if __name__ == "__main__":

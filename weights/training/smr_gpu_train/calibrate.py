@@ -161,7 +161,7 @@ LEAST = 60  # errors, or right and wrong detections, to fit anything to
 
 def run(args: argparse.Namespace) -> int:
     model = weightfile.load(args.weights)
-    folders = read("--data", args.data, model.config, args)
+    folders = read("--data", args.data, model.config, args, args.split)
     further = read("--deviations", args.deviations, model.config, args) if args.deviations else {}
     looks = Looks(model, [entry for entries in folders.values() for entry in entries])
     best = model.config.temperature

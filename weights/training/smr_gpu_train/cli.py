@@ -37,6 +37,13 @@ def _at_least(least: float, kind: Callable[[str], float]) -> Callable[[str], flo
     return read
 
 
+def _share(text: str) -> float:
+    value = _at_least(0, float)(text)
+    if not 0 < value < 1:
+        raise argparse.ArgumentTypeError(f"expected a share between 0 and 1, got {text}")
+    return value
+
+
 WHOLE, SOME = _at_least(1, int), _at_least(0, float)
 
 
@@ -48,7 +55,11 @@ def parser() -> argparse.ArgumentParser:
     fit = commands.add_parser("fit", help="train on labelled pictures; ends with OUT/weights.safetensors")
     fit.add_argument("--out", type=Path, required=True, help="folder of the run")
     fit.add_argument("--resume", action="store_true", help="go on with the run in OUT, as it was begun")
+    fit.add_argument("--estimate", action="store_true", help="check everything and time a few steps, and train nothing; the last line says it as JSON")
     fit.add_argument("--data", type=str, nargs="+", metavar="DIR", help="COCO folders: annotations.json and pictures")
+    fit.add_argument("--mix", type=str, nargs="+", metavar="DIR", default=[], help="further ones, simulated ones, say, whose views are --mix-share of all, however many pictures there are")
+    fit.add_argument("--mix-share", type=_share, default=0.5)
+    fit.add_argument("--split", type=_share, metavar="SHARE", help="hold out this share of the pictures of --data and evaluate them as --val; OUT/split.json lists them")
     fit.add_argument("--val", type=str, nargs="+", metavar="DIR", default=[], help="COCO folders that are evaluated now and then, and in the end")
     fit.add_argument("--steps", type=WHOLE, help="of the whole run")
     fit.add_argument("--classes", nargs="+", metavar="NAME", help="in this order; by default the labels' categories")
@@ -82,6 +93,7 @@ def parser() -> argparse.ArgumentParser:
         command.add_argument("--weights", type=Path, required=True)
         command.add_argument("--data", type=Path, nargs="+", required=True, metavar="DIR", help="COCO folders")
         command.add_argument("--sensor", metavar="NAME|FILE", help="which took the pictures whose labels state no scale")
+        command.add_argument("--split", type=Path, metavar="RUN/split.json", help="only those pictures of --data that this run of fit has held out")
         command.add_argument("--limit", type=WHOLE, help="the first pictures of each folder only")
     evaluate.add_argument("--conf", type=SOME, default=0.5, help="least score of a best box")
     evaluate.add_argument("--json", type=Path, help="write the figures here too")
@@ -105,8 +117,10 @@ def _cores() -> int:
 
 def request(args: argparse.Namespace, fit: argparse.ArgumentParser) -> Request:
     """What `fit` is asked for: anew, or what the run in --out was begun with."""
-    given = {name: value for name, value in vars(args).items() if name not in ("command", "out", "resume")}
+    given = {name: value for name, value in vars(args).items() if name not in ("command", "out", "resume", "estimate")}
     if args.resume:
+        if args.estimate:
+            raise Failure("--estimate is for a new run: leave out --resume")
         more = [f"--{name.replace('_', '-')}" for name, value in given.items() if value != fit.get_default(name)]
         if more:
             raise Failure(f"--resume goes on as the run was begun: leave out {', '.join(more)}")
@@ -115,6 +129,8 @@ def request(args: argparse.Namespace, fit: argparse.ArgumentParser) -> Request:
         raise Failure("fit: expected --data and --steps, or --resume")
     if (args.out / FILE).exists():
         raise Failure(f"{args.out} holds a run: give --resume to go on with it")
+    if args.mix_share != fit.get_default("mix_share") and not args.mix:
+        raise Failure("--mix-share: give --mix, whose share it is")
     brought = ("network", "pixels_per_mm", "mean", "std", "anchor_sizes", "anchor_ratios", "no_safe", "no_msff", "no_rw")
     clash = [f"--{name.replace('_', '-')}" for name in brought if given[name] != fit.get_default(name)]
     if args.init and clash:
@@ -141,7 +157,7 @@ def command(argv: list[str] | None) -> int:
                 print(line, flush=True)
             from . import fit
 
-            return fit.run(asked, pictures, val, args.out)
+            return (fit.estimate if args.estimate else fit.run)(asked, pictures, val, args.out)
         if args.command == "evaluate":
             from . import evaluate as chosen
         elif args.command == "calibrate":

@@ -2,7 +2,7 @@
 
 A step depends only on the seed, its number, the number of steps and the pictures, so a run that was stopped or killed
 goes on to the weights it would have had. OUT/run.json keeps what was asked for, OUT/checkpoint.pt how far it has come,
-OUT/weights.safetensors what came of it.
+OUT/history.jsonl how, OUT/weights.safetensors what came of it.
 """
 
 import ctypes
@@ -22,11 +22,12 @@ from torch import Tensor
 from torchvision.ops import box_iou
 
 from . import boxes as bx
-from . import weightfile
+from . import history, split, weightfile
 from .config import ANCHOR_RATIOS, ANCHOR_SIZES, NETWORKS, Config, Variant
 from .data import scaled, whole_tiles
 from .errors import Failure, counted
 from .files import whole
+from .history import History
 from .labels import DataSet, Folder
 from .learner import Learner, measure_statistics, network_views, rate
 from .losses import detection_losses
@@ -57,8 +58,8 @@ def log(text: str) -> None:
 
 
 def parts_of(data: DataSet, pixels_per_mm: float, out: Path) -> tuple[list[Part], list[str]]:
-    """Each folder's small pictures, and the keys of their content."""
-    found = [cached(folder, data.classes, data.directed, pixels_per_mm, out / "cache") for folder in data.folders]
+    """Each folder's small pictures, those that are mixed in last, and the keys of their content."""
+    found = [cached(folder, data.classes, data.directed, pixels_per_mm, out / "cache") for folder in data.folders + data.mix]
     return [part for part, _ in found], [key for _, key in found]
 
 
@@ -110,20 +111,23 @@ class Run:
     def __init__(self, asked: Request, data: DataSet, val: list[Folder], out: Path):
         self.asked, self.out = asked, out
         self.device = "cuda" if torch.cuda.is_available() else "cpu"
-        self.file = out / "checkpoint.pt"
+        self.file, self.history = out / "checkpoint.pt", History(out / history.FILE)
         state = read_checkpoint(self.file, self.device) if self.file.exists() else None
         init = weightfile.load(Path(asked.init)) if asked.init and state is None else None
         if state is None:
             self.step, self.seconds, self.seen, self.measured = 0, 0.0, 0, asked.keep_statistics
+            self.recent: list[dict[str, float]] = []  # losses that were not said yet
             self.config = new_config(asked, data, init, out)
         else:
             self.step, self.seconds, self.seen, self.measured = state["step"], state["seconds"], state["seen"], state["measured"]
+            self.recent = state.get("recent", [])
             self.config = Config.from_dict(json.loads(state["config"]))
         parts, self.keys = parts_of(data, self.config.pixels_per_mm, out)
         if state is not None and self.keys != state["keys"]:
             raise Failure(f"{out}: expected the pictures and labels that the run began with, got others: begin a new one")
-        self.pool = Pool.of(parts, self.config, self.device)
-        pictures = [entry for folder in data.folders for entry in entries(folder, data.classes, data.directed)]
+        own = len(data.folders)
+        self.pool = Pool.of(parts[:own], self.config, self.device, parts[own:], data.mix_share)
+        pictures = [entry for folder in data.folders + data.mix for entry in entries(folder, data.classes, data.directed)]
         thin = narrow(pictures, self.config.pixels_per_mm)
         if thin:
             log(f"{counted(thin, 'box', 'boxes')} narrower than 2 pixels of the network's input left out")
@@ -145,7 +149,7 @@ class Run:
 
     def save(self) -> None:
         """The checkpoint, whole or not at all."""
-        state = {"step": self.step, "seconds": self.seconds, "seen": self.seen, "measured": self.measured, "keys": self.keys, **self.learner.state()}
+        state = {"step": self.step, "seconds": self.seconds, "seen": self.seen, "measured": self.measured, "recent": self.recent, "keys": self.keys, **self.learner.state()}
         with whole(self.file, RuntimeError) as part:
             torch.save(state, part)
 
@@ -169,9 +173,12 @@ class Run:
         return {k: v.item() for k, v in ({"loss": total.detach()} | losses | {"norm": norm}).items()}
 
     def validate(self, limit: int | None) -> None:
-        for path, pictures in self.val:
-            found = line(figures(*detect_all(self.learner.ema, pictures[:limit], self.device), self.config.classes))
-            log(f"val step {self.step} {path}: {found}")
+        """On the first pictures of each folder, or on all."""
+        rows = {str(path): figures(*detect_all(self.learner.ema, pictures[:limit], self.device), self.config.classes) for path, pictures in self.val}
+        if rows:
+            self.history.add({"step": self.step, "val": rows})
+        for path, found in rows.items():
+            log(f"val step {self.step} {path}: {line(found)}")
 
     def train(self, stopped: Callable[[], bool]) -> bool:
         """To the end, or until it is stopped; whether it came to the end. Either way there is a checkpoint of it then."""
@@ -181,17 +188,19 @@ class Run:
             self.learner.stand()
         every = max(1, min(20, asked.steps // 10))
         saved = validated = began = self.seconds
-        first, recent, clock = self.step, list[dict[str, float]](), time.monotonic()
+        first, clock = self.step, time.monotonic()
         while self.step < asked.steps and not stopped():
-            recent.append(self.train_step())
+            self.recent.append(self.train_step())
             now = time.monotonic()
             self.seconds, clock = self.seconds + now - clock, now
             if self.step % every == 0:
-                text = " ".join(f"{k} {np.mean([r[k] for r in recent]):.4f}" for k in recent[0])
+                means = {k: float(np.mean([r[k] for r in self.recent])) for k in self.recent[0]}
                 left = (self.seconds - began) / (self.step - first) * (asked.steps - self.step)
-                log(f"step {self.step} of {asked.steps}, {left / 60:.1f} min left: {text}")
-                recent = []
-            if self.seconds - validated > asked.val_minutes * 60:
+                self.history.add({"step": self.step, "steps": asked.steps, "seconds_left": left, **means})
+                log(f"step {self.step} of {asked.steps}, {left / 60:.1f} min left: " + " ".join(f"{k} {v:.4f}" for k, v in means.items()))
+                self.recent = []
+            # What comes after the last step is evaluated in the end.
+            if self.seconds - validated > asked.val_minutes * 60 and self.step < asked.steps:
                 self.validate(asked.val_pictures)
                 validated = self.seconds
             if self.seconds - saved > asked.checkpoint_minutes * 60 and self.step < asked.steps:
@@ -230,11 +239,42 @@ class Stopping:
             signal.signal(number, handler)
 
 
+TIMED = 4  # steps of an estimate, after one that warms up
+
+
+def estimate(asked: Request, data: DataSet, val: list[Folder], out: Path) -> int:
+    """Checks all that a run does and times a few steps; the last line says what there is and how long a step takes, as JSON.
+
+    Of files only the small pictures are written, which a run would write too.
+    """
+    torch.set_num_threads(asked.threads)
+    keep_memory()
+    fit = Run(asked, data, val, out)
+    fit.learner.model.train()
+    if asked.keep_statistics:
+        fit.learner.stand()
+    try:
+        fit.train_step()
+        began = time.monotonic()
+        for _ in range(TIMED):
+            fit.train_step()
+        seconds = (time.monotonic() - began) / TIMED
+    finally:
+        fit.loader.shutdown(wait=True, cancel_futures=True)
+    counts = data.counts()
+    said = {"pictures": counts.pictures, "without_snap": counts.bare, "snaps": counts.snaps, "directed": data.directed}
+    print(json.dumps(said | {"device": fit.device, "threads": asked.threads, "seconds_per_step": seconds, "steps": asked.steps}), flush=True)
+    return 0
+
+
 def run(asked: Request, data: DataSet, val: list[Folder], out: Path) -> int:
     torch.set_num_threads(asked.threads)
     keep_memory()
     asked.save(out)
     fit = Run(asked, data, val, out)
+    if asked.split is not None:
+        split.save(out, asked.split, data.held_out)
+    fit.history.back(fit.step, asked.steps)
     size = sum(p.numel() for p in fit.learner.model.parameters()) / 1e6
     log(f"step {fit.step} of {asked.steps} on {fit.device}, {asked.threads} threads, {size:.1f} M parameters, {fit.config.to_dict()}")
     stopping = Stopping()

@@ -53,21 +53,43 @@ class Folder:
 
 
 @dataclass
+class Counts:
+    """How much there is to learn from."""
+
+    pictures: int
+    bare: int  # without a snap
+    snaps: dict[str, int]  # by class
+
+
+@dataclass
 class DataSet:
     """Folders, and what their labels are called."""
 
     folders: list[Folder]
     classes: list[str]
     directed: list[str]
+    mix: list[Folder] = field(default_factory=list)  # further ones to learn from
+    mix_share: float = 0.0  # of all views, that of `mix`
+    held_out: list[Folder] = field(default_factory=list)  # nothing is learnt from these
+    remarks: list[str] = field(default_factory=list)
+
+    def counts(self, folders: list[Folder] | None = None) -> Counts:
+        """Of these folders, or of all."""
+        pictures = [picture for folder in (folders or self.folders + self.mix) for picture in folder.pictures]
+        snaps = Counter(label.category.lower() for picture in pictures for label in picture.labels)
+        return Counts(len(pictures), sum(not picture.labels for picture in pictures), {name: snaps[name.lower()] for name in self.classes})
 
     def summary(self) -> list[str]:
         """What there is to learn from, and what was left out or assumed, in lines."""
-        pictures = [picture for folder in self.folders for picture in folder.pictures]
-        counts = Counter(label.category.lower() for picture in pictures for label in picture.labels)
-        bare = sum(not picture.labels for picture in pictures)
-        snaps = ", ".join(f"{name} {counts[name.lower()]}" + (" (with a direction)" if name in self.directed else "") for name in self.classes)
-        lines = [f"{counted(len(pictures), 'picture')}, {bare} of them without a snap; {counted(sum(counts.values()), 'snap')}: {snaps}"]
-        return lines + [f"{folder.path}: {remark}" for folder in self.folders for remark in folder.remarks]
+        lines = [self._line(self.folders)]
+        if self.mix:
+            lines.append(f"mixed in, {100 * self.mix_share:g} % of all views: {self._line(self.mix)}")
+        return lines + self.remarks + [f"{folder.path}: {remark}" for folder in self.folders + self.mix for remark in folder.remarks]
+
+    def _line(self, folders: list[Folder]) -> str:
+        counts = self.counts(folders)
+        snaps = ", ".join(f"{name} {count}" + (" (with a direction)" if name in self.directed else "") for name, count in counts.snaps.items())
+        return f"{counted(counts.pictures, 'picture')}, {counts.bare} of them without a snap; {counted(sum(counts.snaps.values()), 'snap')}: {snaps}"
 
 
 class Faults:

@@ -3,6 +3,8 @@
 A `Pool` takes parts up while it is in use. A batch depends on the pool, the step and the seed alone.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -60,13 +62,17 @@ class Pool:
         self.sizes = torch.empty(0, 2, device=device)
         self.scales = torch.empty(0, device=device)
         self.snaps = torch.empty(0, snaps, 7, device=device)
+        self.own, self.share = 0, 0.0  # the pictures before those that are mixed in, and the share of views that these have
 
     @classmethod
-    def of(cls, parts: list[Part], config: Config, device: str) -> "Pool":
-        """Of these parts, with room for them and no more."""
-        snaps = max([SNAPS, *(part.snaps.shape[1] for part in parts)])
-        pool = cls(config, sum(len(part.pixels) for part in parts), device, snaps)
+    def of(cls, parts: Sequence[Part], config: Config, device: str, mix: Sequence[Part] = (), share: float = 0.0) -> "Pool":
+        """Of these parts, with room for them and no more; views of those of `mix` are this share of all, however many pictures there are."""
+        snaps = max([SNAPS, *(part.snaps.shape[1] for part in (*parts, *mix))])
+        pool = cls(config, sum(len(part.pixels) for part in (*parts, *mix)), device, snaps)
         for part in parts:
+            pool.add(part)
+        pool.own, pool.share = len(pool), share if mix else 0.0
+        for part in mix:
             pool.add(part)
         return pool
 
@@ -95,7 +101,13 @@ class Pool:
     def _choose(self, count: int, window: tuple[int, int], whole: bool, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
         """Pictures [B], their sizes [B, 2] at a random scale, and which are to be turned on their side; such as fill the window."""
         shape = (count, CANDIDATES)
-        index = torch.randint(len(self), shape, generator=generator, device=self.device)
+        if self.share:
+            # First what a view is of: all its candidates are then of that, so filling the window changes no share.
+            mixed = torch.rand(count, 1, generator=generator, device=self.device) < self.share
+            low, high = (torch.where(mixed, those, these).expand(shape) for these, those in ((0, self.own), (self.own - 1, len(self) - 1)))
+            index = self._integers(low, high, generator).long()
+        else:
+            index = torch.randint(len(self), shape, generator=generator, device=self.device)
         power = torch.rand(shape, generator=generator, device=self.device) * 2 - 1
         scale = self.pixels_per_mm * JITTER**power / self.scales[index]
         sizes = (self.sizes[index] * scale[..., None]).round().clamp(min=1)

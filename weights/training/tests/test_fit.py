@@ -14,6 +14,7 @@ import tempfile
 import unittest
 from pathlib import Path
 
+import numpy as np
 import torch
 from safetensors import safe_open
 from safetensors.torch import load_file
@@ -30,6 +31,12 @@ def call(*arguments: object, status: int = 0, room: int = resource.RLIM_INFINITY
     assert done.returncode == status, f"{arguments}: {done.returncode}, expected {status}: {done.stdout}{done.stderr}"
     assert done.stderr.count("\n") == (status not in (0, 130)), done.stderr
     return done.stderr if status not in (0, 130) else done.stdout
+
+
+def history(run: Path) -> list[dict]:
+    """Its lines, without times."""
+    lines = [json.loads(line) for line in (run / "history.jsonl").read_text().splitlines()]
+    return [{key: value for key, value in line.items() if key != "seconds_left"} for line in lines]
 
 
 def classes(file: Path) -> list[str]:
@@ -72,6 +79,53 @@ class Fit(unittest.TestCase):
         self.assertEqual(shown.returncode, 0, shown.stderr)
         self.assertIn("Ball_Catch", shown.stdout)
 
+    def test_an_estimate_says_what_a_run_would_take_and_leaves_it_as_it_is(self) -> None:
+        out = self.root / "estimated"
+        begin = ["fit", "--out", out, "--data", self.data, "--network", "small", *TINY]
+        said = json.loads(call(*begin, "--estimate").splitlines()[-1])
+        self.assertEqual([*said], ["pictures", "without_snap", "snaps", "directed", "device", "threads", "seconds_per_step", "steps"])
+        labels = json.loads((self.data / "annotations.json").read_text())["annotations"]
+        self.assertEqual(said["snaps"], {"bayonet": sum(a["category_id"] == 1 for a in labels), "Ball_Catch": sum(a["category_id"] == 2 for a in labels)})
+        self.assertEqual((said["pictures"], said["without_snap"]), (12, 12 - len({a["image_id"] for a in labels})))
+        self.assertEqual((said["directed"], said["threads"], said["steps"]), (["bayonet"], 1, STEPS))
+        self.assertGreater(said["seconds_per_step"], 0)
+        self.assertEqual([file.name for file in out.iterdir()], ["cache"])
+        call(*begin)
+        self.assertEqual((out / "weights.safetensors").read_bytes(), (self.whole / "weights.safetensors").read_bytes())
+        self.assertIn("holds a run", call(*begin, "--estimate", status=2))
+        self.assertIn("leave out --resume", call("fit", "--out", out, "--resume", "--estimate", status=2))
+        # What a run would refuse.
+        self.assertIn("expected a weight file of SMR-Net", call("fit", "--out", self.root / "no", "--data", self.data, "--init", self.data / "annotations.json", *TINY, "--estimate", status=2))
+
+    def test_a_split_is_evaluated_and_a_mix_is_learnt_from(self) -> None:
+        out, mix = self.root / "split", self.root / "mix"
+        subprocess.run([SMR_GPU, "simulate", "--out", mix, "--count", "6", "--seed", "8", "--sensor", "gelsight-mini"], check=True, capture_output=True)
+        labels = mix / "annotations.json"
+        coco = json.loads(labels.read_text())
+        coco["categories"] = json.loads((self.data / "annotations.json").read_text())["categories"]
+        labels.write_text(json.dumps(coco))
+        begin = ["fit", "--out", out, "--data", self.data, "--mix", mix, "--mix-share", "0.3", "--split", "0.25", "--network", "small", *TINY, "--steps", "2"]
+        self.assertEqual(json.loads(call(*begin, "--estimate").splitlines()[-1])["pictures"], 9 + 6)
+        self.assertFalse((out / "split.json").exists())
+        said = call(*begin)
+        self.assertEqual(said.splitlines()[0].split(", ")[0], "9 pictures")
+        self.assertTrue(said.splitlines()[1].startswith("mixed in, 30 % of all views: 6 pictures, "))
+        self.assertIn("3 of 12 pictures held out", said)
+        self.assertEqual(sorted(len(np.load(file)["sizes"]) for file in (out / "cache").iterdir()), [6, 9])
+        split = out / "split.json"
+        held = [row["file"] for row in json.loads(split.read_text())["held_out"]]
+        self.assertEqual((len(held), {Path(file).parent for file in held}), (3, {self.data / "images"}))
+        seen = history(out)[-1]["val"]
+        call("evaluate", "--weights", out / "weights.safetensors", "--data", self.data, "--split", split, "--json", out / "figures.json")
+        # A weight file holds numbers of 16 bits.
+        of_file, of_run = json.loads((out / "figures.json").read_text())[str(self.data)], seen[str(self.data)]
+        self.assertEqual([row["count"] for row in of_file.values()], [row["count"] for row in of_run.values()])
+        labels = json.loads((self.data / "annotations.json").read_text())
+        shown = {image["id"] for image in labels["images"] if str(self.data / image["file_name"]) in held or str(self.data / "images" / image["file_name"]) in held}
+        self.assertEqual(of_file["all"]["count"], sum(a["image_id"] in shown for a in labels["annotations"]))
+        self.assertIn("left as", call("calibrate", "--weights", out / "weights.safetensors", "--data", self.data, "--split", split, "--out", out / "calibrated.safetensors"))
+        self.assertIn("expected --data to have the 3 pictures", call("evaluate", "--weights", out / "weights.safetensors", "--data", mix, "--split", split, status=2))
+
     def test_a_run_that_is_killed_or_stopped_goes_on_to_the_same_weights(self) -> None:
         out = self.root / "broken"
         command = [sys.executable, "-m", "smr_gpu_train", "fit", "--out", out]
@@ -96,9 +150,54 @@ class Fit(unittest.TestCase):
         self.assertEqual(one.keys(), other.keys())
         for name, tensor in one.items():
             self.assertTrue(torch.equal(tensor, other[name]), name)
+        self.assertEqual(history(out), [line for line in history(self.whole) if "val" not in line])
         self.assertIn("holds a run: give --resume", call("fit", "--out", out, *fresh, status=2))
         call("export", "--run", out, "--out", out / "again.safetensors")
         self.assertEqual((out / "again.safetensors").read_bytes(), (out / "weights.safetensors").read_bytes())
+
+    def test_a_history_is_what_the_log_says_and_goes_on_with_the_run(self) -> None:
+        lines = history(self.whole)
+        self.assertEqual([line["step"] for line in lines], [*range(1, STEPS + 1), STEPS])
+        self.assertEqual(lines[-1]["val"].keys(), {str(self.data)})
+        rows = lines[-1]["val"][str(self.data)]
+        self.assertEqual([*rows], ["bayonet", "Ball_Catch", "all"])
+        self.assertLessEqual({"count", "iou", "ap50"}, rows["bayonet"].keys())
+        self.assertTrue(all(line["steps"] == STEPS and f"loss {line['loss']:.4f}" in self.said for line in lines[:-1]))
+        # Of a run of 25 steps every second is said. It was stopped between two, said more after its last checkpoint, and died in a line.
+        out, once = self.root / "went-on", self.root / "at-once"
+        arguments = ["--data", self.data, "--network", "small", *TINY, "--area", "10000", "--steps", "25"]
+        call("fit", "--out", once, *arguments)
+        command = [sys.executable, "-m", "smr_gpu_train", "fit", "--out", out, *map(str, arguments)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            for line in process.stdout:
+                if "step 8 of 25, " in line:
+                    process.send_signal(signal.SIGKILL)
+        kept = out / "history.jsonl"
+        with open(kept, "a") as opened:
+            opened.write('{"step": 24, "steps": 25, "loss": 9.0}\n{"step": 2')
+        call("fit", "--out", out, "--resume")
+        self.assertEqual(history(out), history(once))
+        self.assertEqual([line["step"] for line in history(out)], [*range(2, 25, 2)])
+
+    def test_a_history_that_cannot_be_written(self) -> None:
+        out = self.root / "mute"
+        (out / "history.jsonl").mkdir(parents=True)
+        arguments = ["fit", "--out", out, "--data", self.data, "--network", "small", *TINY]
+        self.assertIn("history.jsonl: cannot be written", call(*arguments, status=6))
+        (out / "history.jsonl").rmdir()
+        with subprocess.Popen([sys.executable, "-m", "smr_gpu_train", *map(str, arguments[:3]), "--resume"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None and process.stderr is not None
+            for line in process.stdout:
+                if "step 2 of 6, " in line:
+                    (out / "history.jsonl").unlink()
+                    (out / "history.jsonl").mkdir()
+            self.assertIn("history.jsonl: cannot be written", process.stderr.read())
+        self.assertEqual(process.returncode, 6)
+        self.assertGreaterEqual(torch.load(out / "checkpoint.pt", weights_only=True)["step"], 1)
+        (out / "history.jsonl").rmdir()
+        call("fit", "--out", out, "--resume")
+        self.assertEqual((out / "weights.safetensors").read_bytes(), (self.whole / "weights.safetensors").read_bytes())
 
     def test_a_run_goes_on_with_its_own_pictures_alone(self) -> None:
         out, data = self.root / "moved", self.root / "moved-data"
@@ -160,7 +259,7 @@ class Fit(unittest.TestCase):
         out = self.root / "full"
         said = call("fit", "--out", out, "--data", self.data, "--network", "small", *TINY, status=6, room=4_000_000)
         self.assertIn("checkpoint.pt: cannot be written", said)
-        self.assertEqual(sorted(file.name for file in out.iterdir()), ["cache", "run.json"])
+        self.assertEqual(sorted(file.name for file in out.iterdir()), ["cache", "history.jsonl", "run.json"])
         call("fit", "--out", out, "--resume")
         self.assertTrue((out / "weights.safetensors").exists())
         said = call("fit", "--out", self.root / "file" / "run", "--data", self.data, *TINY, status=6)

@@ -16,8 +16,10 @@ sys.path.insert(0, str(HERE))
 
 from smr_gpu_train import cli  # noqa: E402
 from smr_gpu_train.errors import Failure  # noqa: E402
-from smr_gpu_train.labels import data_set, read_folder  # noqa: E402
+from smr_gpu_train.labels import Counts, data_set, read_folder  # noqa: E402
+from smr_gpu_train.request import Request  # noqa: E402
 from smr_gpu_train.sensor import NAMED, Rect, Sensor, view  # noqa: E402
+from smr_gpu_train.split import held_out, hold_out, save  # noqa: E402
 
 CATEGORIES = [{"id": 1, "name": "bayonet"}, {"id": 7, "name": "ball_catch"}]
 
@@ -117,6 +119,77 @@ class Folders(unittest.TestCase):
         (folder / "images" / "a" / "0.png").write_bytes(b"")
         self.assertEqual(read_folder(folder).pictures[0].path, folder / "images" / "a" / "0.png")
 
+    def test_a_mix_brings_classes_and_directions(self) -> None:
+        own = self.write("own", annotations=[snap(0, 1, [10, 20, 30, 40])])
+        mix = self.write("mix", images=images(3), categories=[{"id": 2, "name": "Bayonet"}, {"id": 3, "name": "clip"}], annotations=[snap(0, 2, [0, 0, 5, 5], yaw_deg=3.0), snap(1, 3, [0, 0, 5, 5])])
+        data, _ = Request([str(own)], [], 6, mix=[str(mix)], mix_share=0.25, classes=["bayonet", "clip"]).pictures()
+        self.assertEqual(([folder.path for folder in data.folders], [folder.path for folder in data.mix], data.mix_share), ([own], [mix], 0.25))
+        self.assertEqual(data.summary(), ["2 pictures, 1 of them without a snap; 1 snap: bayonet 1 (with a direction), clip 0", "mixed in, 25 % of all views: 3 pictures, 1 of them without a snap; 2 snaps: bayonet 1 (with a direction), clip 1"])
+        self.assertEqual(data.counts(), Counts(5, 2, {"bayonet": 2, "clip": 1}))
+
+    def different(self, name: str, shown: list[list[int]], **more: Any) -> Path:
+        """A folder of pictures of different bytes, which show these categories."""
+        annotations = [snap(i, category, [10, 20, 30, 40]) for i, each in enumerate(shown) for category in each]
+        folder = self.write(name, images=images(len(shown)), annotations=annotations, **more)
+        for i in range(len(shown)):
+            (folder / f"{i}.png").write_text(f"{name} {i}")
+        return folder
+
+    def test_a_split_holds_out_of_each_class_alike_by_bytes(self) -> None:
+        folder = self.different("many", [[1]] * 20 + [[7]] * 10 + [[]] * 10)
+        names = lambda folders: sorted(p.path.name for f in folders for p in f.pictures)  # noqa: E731
+        kept, held, remarks = hold_out([read_folder(folder)], 0.2)
+        self.assertEqual(len(names(kept)), 32)
+        self.assertEqual(sorted(names(kept) + names(held)), sorted(f"{i}.png" for i in range(40)))
+        self.assertEqual([sum(low <= int(name[:-4]) < high for name in names(held)) for low, high in ((0, 20), (20, 30), (30, 40))], [4, 2, 2])
+        self.assertEqual(remarks, ["8 of 40 pictures held out"])
+        # The bytes decide, not the name or the folder; pictures of the same bytes land together.
+        turned = self.different("turned", [[1]] * 20 + [[7]] * 10 + [[]] * 10)
+        for i in range(40):
+            (turned / f"{i}.png").write_bytes((folder / f"{(i + 7) % 20 if i < 20 else i}.png").read_bytes())
+        bytes_of = lambda folders: {p.path.read_bytes() for f in folders for p in f.pictures}  # noqa: E731
+        self.assertEqual(bytes_of(hold_out([read_folder(turned)], 0.2)[1]), bytes_of(held))
+        twice_kept, twice_held, _ = hold_out([read_folder(folder), read_folder(turned)], 0.2)
+        self.assertEqual((len(names(twice_kept)), len(names(twice_held)), bytes_of(twice_held)), (64, 16, bytes_of(held)))
+        # What is listed is found again, wherever it lies, or missed.
+        save(self.root, 0.2, held)
+        self.assertEqual(bytes_of(held_out("--data", self.root / "split.json", [read_folder(turned)])), bytes_of(held))
+        for i in range(20):
+            (turned / f"{i}.png").write_text("other")
+        with self.assertRaisesRegex(Failure, "expected --data to have the 8 pictures that .*split.json lists, got none like .*many/.* and 1 more"):
+            held_out("--data", self.root / "split.json", [read_folder(turned)])
+        for text in ("{", "[]", '{"held_out": [{}]}'):
+            (self.root / "split.json").write_text(text)
+            with self.assertRaisesRegex(Failure, "expected the split.json of a run, got"):
+                held_out("--data", self.root / "split.json", [read_folder(turned)])
+
+    def test_a_split_leaves_some_of_each_class(self) -> None:
+        for shown, share, wanted in [
+            ([[1], [7]], 0.5, (2, 0)),  # the only ones
+            ([[1, 7]], 0.9, (1, 0)),
+            ([[1, 7]] * 4, 0.1, (4, 0)),
+            ([[1, 7]] * 5, 0.1, (4, 1)),
+            ([[1, 7]] * 5, 0.99, (1, 4)),
+            ([[1]] * 9 + [[7]], 0.9, (2, 8)),
+        ]:
+            kept, held, remarks = hold_out([read_folder(self.different("small", shown))], share)
+            self.assertEqual(tuple(sum(len(f.pictures) for f in side) for side in (kept, held)), wanted, shown)
+            self.assertEqual({label.category for f in kept for p in f.pictures for label in p.labels}, {"bayonet", "ball_catch"})
+            unseen = {"bayonet", "ball_catch"} - {label.category for f in held for p in f.pictures for label in p.labels}
+            self.assertEqual(remarks[1:], [f"no picture of {', '.join(sorted(unseen))} is held out: too few show it"] if unseen else [])
+
+    def test_a_request_with_a_split(self) -> None:
+        folder = self.different("asked", [[1], [7]] * 5)
+        data, val = Request([str(folder)], [], 6, split=0.2).pictures()
+        self.assertEqual([len(f.pictures) for f in (*data.folders, *val)], [8, 2])
+        self.assertEqual(data.summary(), ["8 pictures, 0 of them without a snap; 8 snaps: bayonet 4, ball_catch 4", "2 of 10 pictures held out"])
+        copied = self.different("copied", [[1], [7]] * 5)
+        (copied / "3.png").write_bytes(val[0].pictures[0].path.read_bytes())
+        with self.assertRaisesRegex(Failure, "--mix: expected no picture that is held out, got .*copied/3.png"):
+            Request([str(folder)], [], 6, mix=[str(copied)], split=0.2).pictures()
+        with self.assertRaisesRegex(Failure, "--val, beside --split: expected other folders than --data, got"):
+            Request([str(folder)], [str(folder)], 6, split=0.2).pictures()
+
     def ends(self, arguments: list[str], status: int, wanted: str) -> None:
         """A command ends so, with one line."""
         # Without site packages there is no torch.
@@ -127,6 +200,8 @@ class Folders(unittest.TestCase):
 
     def test_mistakes_end_at_once_in_a_line(self) -> None:
         sound, out = self.write(), self.root / "run"
+        bare = self.write("bare", images=[], annotations=[])
+        mix = self.write("mix", categories=[{"id": 1, "name": "clip"}], annotations=[snap(0, 1, [10, 20, 30, 40])])
         begin = ["fit", "--out", str(out), "--steps", "6", "--data"]
         for arguments, status, wanted in [
             ([], 2, "the following arguments are required: COMMAND"),
@@ -141,6 +216,12 @@ class Folders(unittest.TestCase):
             ([*begin, str(sound), "--init", str(sound / "0.png"), "--network", "small"], 2, "--init brings its own configuration: leave out --network"),
             ([*begin, str(sound), "--sensor", "papers"], 2, "--sensor: expected paper, gelsight-mini, digit, plain or a sensor file, got papers"),
             ([*begin, str(sound), "--sensor", "paper", "--classes", "a"], 2, "expected labels of a, got `bayonet` (1 snap), `ball_catch` (1 snap)"),
+            *(([*begin, str(sound), "--mix", str(mix), "--mix-share", share], 2, f"--mix-share: expected a share between 0 and 1, got {share}") for share in ("0", "1")),
+            ([*begin, str(sound), "--mix-share", "0.3"], 2, "--mix-share: give --mix, whose share it is"),
+            ([*begin, str(sound), "--mix", str(mix), str(sound)], 2, f"--mix: expected other folders than --data, got {sound}"),
+            ([*begin, str(sound), "--mix", str(mix), "--classes", "bayonet", "ball_catch"], 2, f"{mix}/annotations.json: expected labels of bayonet, ball_catch, got `clip` (1 snap)"),
+            ([*begin, str(sound), "--split", "1"], 2, "--split: expected a share between 0 and 1, got 1"),
+            ([*begin, str(bare), "--split", "0.2"], 2, f"{bare}/annotations.json: expected at least one image, got none"),
             (["fit", "--out", str(out), "--resume"], 2, f"{out}: expected a run with run.json, got none"),
             (["fit", "--out", str(out), "--resume", "--steps", "7"], 2, "--resume goes on as the run was begun: leave out --steps"),
             ([*begin, str(sound)], 1, "is not installed: pip install weights/training"),

@@ -1,13 +1,24 @@
 """Whether labels of `other_renderers.py` say what its pictures show."""
 
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from other_renderers import LOOKS, SNAPS, draw
+from other_renderers import BESIDE, LOOKS, SNAPS, Relief, draw, hook, own, stud
+
+
+def bracket(root: Path) -> Relief:
+    """A plate of 8 x 4 mm, 1 mm under a step at its +x end that covers the half of that end towards +y; from a map with a black border."""
+    levels = np.zeros((110, 200), np.uint16)
+    levels[15:95, 20:180] = 1
+    levels[55:95, 150:180] = 65535
+    Image.fromarray(levels).save(root / "map.png")
+    return Relief.read(f"{root}/map.png:0.05:1.0")
 
 
 def departure(picture: np.ndarray) -> np.ndarray:
@@ -94,7 +105,70 @@ def test_a_seed_is_a_picture() -> None:
     assert (first == second).all() and (first != other).any()
 
 
+def test_a_map_is_a_part_about_its_middle() -> None:
+    """x runs to the right and y down from the middle of what is not black, and heights are 0 at the highest."""
+    with tempfile.TemporaryDirectory() as root:
+        part = bracket(Path(root))
+        for text, wanted in (("map.png", "MM_PER_PIXEL"), ("map.png:0:1", "MM_PER_PIXEL"), ("map.png:0.05:x", "could not convert"), ("8.png:0.05:1", "16 bits"), ("black.png:0.05:1", "black"), ("none.png:0.05:1", "No such file")):
+            Image.fromarray(np.ones((4, 4), np.uint8)).save(Path(root) / "8.png")
+            Image.fromarray(np.zeros((4, 4), np.uint16)).save(Path(root) / "black.png")
+            try:
+                Relief.read(f"{root}/{text}")
+                raise AssertionError(text)
+            except (ValueError, OSError) as error:
+                assert wanted in str(error), (text, error)
+    at = np.array([[3.5, 1], [3.5, -1], [-3.5, 1], [3.9, 1.9], [4.1, 1], [3.5, 2.1]])
+    heights = part(np.random.default_rng(0), *at.T)
+    assert np.allclose(heights, [0, -1, -1, 0, BESIDE, BESIDE], atol=1e-4), heights
+
+
+def test_what_is_easily_taken_for_a_part() -> None:
+    with tempfile.TemporaryDirectory() as root:
+        part = bracket(Path(root))
+    block, cut = part.look_alikes()
+    rng, at = np.random.default_rng(0), np.array([[3.5, 1], [-3.5, 1], [4.1, 1]])
+    assert np.allclose(block(rng, *at.T), [0, 0, BESIDE])
+    assert np.allclose(cut(rng, *at.T), [0, -2 / 3, BESIDE], atol=1e-4)
+    # A block has no other block, and none without its top.
+    assert block.look_alikes() == []
+    kinds = own({"bracket": part, "block": block}, {"block"})
+    assert hook in kinds.others and stud in kinds.others and len(kinds.others) == 5 + 2 + 2
+    assert kinds.directed == {"bracket"}
+
+
+def test_a_part_of_a_map_lies_in_its_box_and_points_as_its_map() -> None:
+    """Where the step presses, in the middle of the end that the yaw points to and beside it towards +y, is most to see."""
+    with tempfile.TemporaryDirectory() as root:
+        part = bracket(Path(root))
+    kinds = own({"bracket": part, "plain": part.look_alikes()[0]}, {"plain"})
+    mm, width, height = LOOKS["normals"]
+    along, across, seen = [], [], set()
+    for seed in range(60):
+        picture, labels = draw("normals", "snaps", np.random.default_rng(seed), kinds)
+        change = (departure(picture) - 20).clip(0)
+        for label in labels:
+            left, top, box_width, box_height = label["bbox"]
+            assert left >= 0 and top >= 0 and left + box_width <= width and top + box_height <= height
+            box = change[top : top + box_height, left : left + box_width]
+            assert (box > 0).sum() > max(box_width, box_height) / 2
+            seen.add(label["category_id"])
+            assert (label["yaw_deg"] is None) == (label["category_id"] == 2)
+            # Of those that the plate presses with the step, boxes are larger than the step's.
+            if label["category_id"] == 2 or max(box_width, box_height) * mm < 4.5:
+                continue
+            y, x = np.indices(box.shape)
+            x, y, yaw = x + 0.5 - box_width / 2, y + 0.5 - box_height / 2, np.radians(label["yaw_deg"])
+            along.append((box * (x * np.cos(yaw) + y * np.sin(yaw))).sum() > 0)
+            across.append((box * (y * np.cos(yaw) - x * np.sin(yaw))).sum() > 0)
+    assert seen == {1, 2}
+    assert len(along) > 10 and np.mean(along) > 0.9 and np.mean(across) > 0.9, (along, across)
+    assert draw("lamps", "none", np.random.default_rng(3), kinds)[1] == []
+
+
 if __name__ == "__main__":
+    test_a_map_is_a_part_about_its_middle()
+    test_what_is_easily_taken_for_a_part()
+    test_a_part_of_a_map_lies_in_its_box_and_points_as_its_map()
     test_boxes_hold_what_changes()
     test_a_hook_points_to_its_barb()
     test_look_alikes_have_no_label()

@@ -100,6 +100,30 @@ def scales_are_the_networks(root: Path) -> None:
     print("ok scales vary by a quarter about the network's")
 
 
+def mixed_in_views_are_their_share(root: Path) -> None:
+    """However many pictures there are, and however well they fill the window; without a mix nothing changes."""
+    write(root / "few", [(320, 300)] * 3, 0.1)
+    write(root / "many", [(250, 260)] * 40, 0.1)
+    few, many = (packed(root / name) for name in ("few", "many"))
+    views = 4000
+    for share in (0.2, 0.5, 0.9):
+        pictures = pool.Pool.of([few], CONFIG, "cpu", [many], share)
+        for whole, window in ((False, (128, 128)), (True, (320, 320))):
+            index, _, _ = pictures._choose(views, window, whole, torch.Generator().manual_seed(3))
+            got = (index >= 3).float().mean().item()
+            # Three deviations of a binomial.
+            assert abs(got - share) < 3 * math.sqrt(share * (1 - share) / views), (share, whole, got)
+            times = torch.bincount(index, minlength=43).float()
+            if not whole:
+                assert times[:3].min() > 0.8 * times[:3].mean() and times[3:].min() > 0, times
+    alone, unmixed = pool.Pool(CONFIG, 10**7, "cpu"), pool.Pool.of([few, many], CONFIG, "cpu", [], 0.5)
+    alone.add(few), alone.add(many)
+    for step in range(4):
+        one, other = (pictures.batch(step, 16 * 192 * 192, 7) for pictures in (alone, unmixed))
+        assert torch.equal(one[0], other[0]) and torch.equal(one[1].boxes, other[1].boxes)
+    print("ok mixed in pictures have their share of the views")
+
+
 def snap(box: list, label: int, degrees: float) -> tuple[torch.Tensor, ...]:
     """One snap of one picture: its box, label and yaw."""
     return torch.tensor([[box]], dtype=torch.float32), torch.tensor([[label]]), torch.tensor([[degrees]]).deg2rad()
@@ -151,6 +175,6 @@ def cuts(_: Path) -> None:
 
 
 if __name__ == "__main__":
-    for test in (turns, cuts, views_show_their_labels, scales_are_the_networks):
+    for test in (turns, cuts, views_show_their_labels, scales_are_the_networks, mixed_in_views_are_their_share):
         with tempfile.TemporaryDirectory() as root:
             test(Path(root))

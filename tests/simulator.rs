@@ -1701,6 +1701,72 @@ fn a_part_s_negatives_can_be_had_alone() {
     assert!((0.35..0.6).contains(&share), "{share} of {}", all.len());
 }
 
+/// `simulate --preview` of parts in this folder.
+fn preview(folder: &std::path::Path, args: &[&str]) -> program::Ran {
+    program::command(folder).args(["simulate"]).args(args).output().expect("the program").into()
+}
+
+#[test]
+fn a_preview_shows_a_part_its_heights_and_presses() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = |name: &str| folder.path().join(name);
+    std::fs::write(file("comb.stl"), comb()).expect("written");
+    let cube = stl_of_boxes(&[[[0.0; 3], [5.0, 5.0, 3.0]]]);
+    std::fs::write(file("cube.stl"), &cube).expect("written");
+    let parts = ["--part", "comb=comb.stl", "--part", "cube=cube.stl"];
+    let sheet = |name: &str, more: &[&str]| {
+        preview(folder.path(), &[&parts[..], &["--preview", name], more].concat()).expect(0);
+        image::open(file(name)).expect("a picture").to_rgb8()
+    };
+    let drawn = sheet("sheet.png", &[]);
+    assert!(!file("set").exists());
+    // A heading, two rows of four pictures of 320 px with a line below each and the heights' scale, per part.
+    assert_eq!(drawn.dimensions(), (1420, 10 + 2 * 744));
+    let at = |x: u32, y: u32| drawn.get_pixel(x, y).0;
+    // The comb's picture begins at 10, 40, and its heights' at 10, 392; the comb is 8 × 4 mm, and 1 mm of gel is
+    // left round its diagonal. Its bar is the highest, its teeth 0.4 mm lower: yellow and violet.
+    let mm = 320.0 / (80f64.sqrt() + 2.0);
+    let place = |top: u32, [x, y]: [f64; 2]| {
+        at((170.0 + x * mm) as u32, (f64::from(top) + 160.0 + y * mm) as u32)
+    };
+    let (bar, tooth, beside) = ([0.0, 1.0], [3.0, -1.0], [1.0, -1.5]);
+    assert_eq!(place(392, bar), [254, 232, 37]);
+    assert_eq!(place(392, tooth), [68, 1, 84]);
+    assert_eq!([40, 392].map(|top| place(top, beside)), [[240; 3]; 2]);
+    assert!(place(40, [2.0, 1.0])[0] > 150, "a flat top is lit");
+    // The comb's 0° is an arrow along x, through the middle; a cube has none.
+    assert_eq!(place(40, [0.0, 0.0]), [230, 159, 0]);
+    assert_eq!(place(784, [0.0, 0.0]), [190; 3]);
+    // Every press shows a box in its class's colour.
+    for (part, colour) in [[230, 159, 0], [86, 180, 233]].into_iter().enumerate() {
+        for press in 0..6 {
+            let (x, y) = (430 + 330 * (press % 3), 40 + 744 * part as u32 + 352 * (press / 3));
+            let pixels = (0..320 * 320).filter(|i| at(x + i % 320, y + i / 320) == colour);
+            assert!(pixels.count() > 200, "press {press} of part {part}");
+        }
+    }
+    assert_eq!(sheet("same.png", &["--seed", "0"]), drawn);
+    assert_ne!(sheet("other.png", &["--seed", "1"]), drawn);
+
+    let told =
+        |args: &[&str], code, words: &str| preview(folder.path(), args).expect(code).tells(words);
+    told(&["--preview", "none.png"], 2, "--part");
+    told(&[&parts[..], &["--preview", "x.png", "--out", "set"]].concat(), 2, "cannot be used with");
+    told(&[&parts[..], &["--seed", "1"]].concat(), 2, "--out");
+    told(&[&parts[..], &["--preview", "./comb.stl"]].concat(), 2, "comb.stl");
+    assert_eq!(std::fs::read_to_string(file("comb.stl")).expect("kept"), comb());
+}
+
+/// A part that is larger than the gel is pressed all the same, and cut by the picture.
+#[test]
+fn a_part_larger_than_the_gel_is_drawn() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let slab =
+        stl_of_boxes(&[[[0.0; 3], [45.0, 30.0, 3.0]], [[10.0, 5.0, 2.0], [20.0, 10.0, 4.0]]]);
+    std::fs::write(folder.path().join("slab.stl"), slab).expect("written");
+    simulate_parts(folder.path(), &["--part", "slab=slab.stl", "--count", "3"]).expect(0);
+}
+
 #[test]
 fn parts_that_cannot_be_are_named() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -123,7 +123,7 @@ fn what_is_taught_is_written_with_a_report() {
     for line in ["| plain, 2 | A |", "| wide, 2 | B |", "## Learning", "![The best](hits.png)"] {
         assert!(report.contains(line), "no `{line}` in {report}");
     }
-    for name in ["precision", "reliability", "learning", "hits"] {
+    for name in ["precision", "reliability", "learning", "hits", "parts"] {
         let picture = image::open(user.at(&format!("new.teach/{name}.png")));
         assert!(picture.expect(name).width() >= 400, "{name}");
     }

@@ -1,9 +1,7 @@
 //! `smr-gpu calibrate`: a sensor file from real presses of a ball.
 
-use std::io::Cursor;
 use std::path::{Component, Path, PathBuf};
 
-use image::ImageFormat;
 use smr_gpu::files::Outputs;
 use smr_gpu::simulator::Error;
 use smr_gpu::simulator::calibrate::{
@@ -12,6 +10,7 @@ use smr_gpu::simulator::calibrate::{
 };
 
 use super::detector::number;
+use super::draw;
 use super::exit::{Exit, Failure};
 use super::message::tell;
 use super::output::{count, folder_name, line};
@@ -85,12 +84,7 @@ fn write(
     outputs: &mut Outputs,
 ) -> Result<(), Failure> {
     if let Some(path) = &args.save {
-        let mut png = Cursor::new(Vec::new());
-        report
-            .comparison
-            .write_to(&mut png, ImageFormat::Png)
-            .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", path.display())))?;
-        outputs.write(path, png.get_ref())?;
+        draw::write(outputs, path, &report.comparison)?;
         tell(format!(
             "{}: real, simulated, difference ({DIFFERENCE_GAIN} times, about grey)",
             path.display()

@@ -35,14 +35,14 @@ pub(super) const CHART_COLOURS: [RGBColor; 7] = [
 
 /// A colour a class, from Okabe and Ito's palette: they differ for colour-blind eyes too, and all
 /// are light enough for black letters.
-const COLOURS: [Rgb<u8>; 5] = [
+pub(super) const COLOURS: [Rgb<u8>; 5] = [
     Rgb([230, 159, 0]),
     Rgb([86, 180, 233]),
     Rgb([0, 158, 115]),
     Rgb([240, 228, 66]),
     Rgb([204, 121, 167]),
 ];
-const BLACK: Rgb<u8> = Rgb([0, 0, 0]);
+pub(super) const BLACK: Rgb<u8> = Rgb([0, 0, 0]);
 
 /// Draws detections.
 pub(super) struct Artist<'a> {
@@ -81,13 +81,25 @@ impl<'a> Artist<'a> {
             let class = self.classes.iter().position(|c| *c == detection.class).unwrap_or(0);
             let colour = COLOURS[class % COLOURS.len()];
             let corners = detection.bbox.map(|v| v.round() as i32);
-            // A dark rim keeps the line apart from a bright ground.
-            frame(canvas, corners, line + (line + 1) / 2, BLACK);
-            frame(canvas, corners, line, colour);
-            if let Some(yaw) = detection.yaw_deg {
-                arrow(canvas, detection.bbox, yaw, line, colour);
-            }
+            Self::snap(canvas, detection.bbox, detection.yaw_deg, line, colour);
             self.label(canvas, detection, corners, letters, colour);
+        }
+    }
+
+    /// Draws a snap's box and, if it has one, its direction, both by lines of this thickness.
+    pub fn snap(
+        canvas: &mut RgbImage,
+        bbox: [f32; 4],
+        yaw_deg: Option<f32>,
+        line: i32,
+        colour: Rgb<u8>,
+    ) {
+        let corners = bbox.map(|v| v.round() as i32);
+        // A dark rim keeps the line apart from a bright ground.
+        frame(canvas, corners, line + (line + 1) / 2, BLACK);
+        frame(canvas, corners, line, colour);
+        if let Some(yaw) = yaw_deg {
+            arrow(canvas, bbox, yaw, line, colour);
         }
     }
 
@@ -162,7 +174,13 @@ fn frame(canvas: &mut RgbImage, [x1, y1, x2, y2]: [i32; 4], thick: i32, colour: 
 }
 
 /// Draws an arrow through the middle of a box, in the direction in which the barb points.
-fn arrow(canvas: &mut RgbImage, bbox: [f32; 4], yaw_deg: f32, line: i32, colour: Rgb<u8>) {
+pub(super) fn arrow(
+    canvas: &mut RgbImage,
+    bbox: [f32; 4],
+    yaw_deg: f32,
+    line: i32,
+    colour: Rgb<u8>,
+) {
     let [x1, y1, x2, y2] = bbox;
     let (middle, length) = (Vec2::new(x1 + x2, y1 + y2) / 2.0, (x2 - x1).hypot(y2 - y1) / 4.0);
     let barb = Vec2::from_angle(yaw_deg.to_radians());
@@ -202,11 +220,30 @@ fn polygon(canvas: &mut RgbImage, corners: &[[f32; 2]], colour: Rgb<u8>) {
 }
 
 /// Fills a rectangle, as far as it lies in the picture.
-fn fill(canvas: &mut RgbImage, x: i32, y: i32, width: i32, height: i32, colour: Rgb<u8>) {
+pub(super) fn fill(
+    canvas: &mut RgbImage,
+    x: i32,
+    y: i32,
+    width: i32,
+    height: i32,
+    colour: Rgb<u8>,
+) {
     if width > 0 && height > 0 {
         let rect = Rect::at(x, y).of_size(width as u32, height as u32);
         draw_filled_rect_mut(canvas, rect, colour);
     }
+}
+
+/// Writes a picture as PNG.
+///
+/// # Errors
+/// [`Exit::Output`].
+pub(super) fn write(outputs: &mut Outputs, path: &Path, picture: &RgbImage) -> Result<(), Failure> {
+    let mut png = Cursor::new(Vec::new());
+    picture
+        .write_to(&mut png, ImageFormat::Png)
+        .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", path.display())))?;
+    Ok(outputs.write(path, png.get_ref())?)
 }
 
 /// The folder of `--save`.
@@ -248,11 +285,7 @@ impl Gallery {
             Source::Stdin => Some("stdin".into()),
         };
         let path = self.free_name(outputs, stem.unwrap_or_else(|| "picture".into()))?;
-        let mut png = Cursor::new(Vec::new());
-        picture
-            .write_to(&mut png, ImageFormat::Png)
-            .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", path.display())))?;
-        Ok(outputs.write(&path, png.get_ref())?)
+        write(outputs, &path, picture)
     }
 
     /// A name for a file that may be written: an earlier run's picture is replaced.

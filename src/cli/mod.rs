@@ -19,6 +19,7 @@ mod names;
 mod op;
 mod output;
 mod parts;
+mod preview;
 mod printable;
 mod probe;
 mod simulate;

@@ -109,6 +109,14 @@ pub(super) fn part_or_file(text: &str) -> Result<PartArg, String> {
     }
 }
 
+/// The files that the parts are read from.
+pub(super) fn files(parts: &[PartArg]) -> impl Iterator<Item = &Path> {
+    parts.iter().filter_map(|part| match part {
+        PartArg::A | PartArg::B => None,
+        PartArg::Own { file, .. } => Some(file.as_path()),
+    })
+}
+
 /// Reads the parts and what is taken for them, and tells what is odd about each.
 ///
 /// # Errors
@@ -131,7 +139,7 @@ pub(super) fn own(parts: &[PartArg], negatives: &[PathBuf], cad: &CadArgs) -> Re
             PartArg::B => Kind::B,
             PartArg::Own { name, file } => {
                 let part = OwnPart::new(name.clone(), read(file, cad)?);
-                describe(&part);
+                tell(described(&part));
                 for (what, negative) in part.negatives() {
                     let name = format!("{name}-{what}");
                     match negative {
@@ -156,7 +164,8 @@ pub(super) fn own(parts: &[PartArg], negatives: &[PathBuf], cad: &CadArgs) -> Re
     Ok(own)
 }
 
-fn describe(part: &OwnPart) {
+/// A part's size and its symmetry, in words.
+pub(super) fn described(part: &OwnPart) -> String {
     let [x, y] = part.relief.half_size().map(|half| 2.0 * half);
     let turns = match part.symmetry {
         Symmetry::None => "it has a direction".to_owned(),
@@ -165,7 +174,7 @@ fn describe(part: &OwnPart) {
         Symmetry::Other(turns) => format!("it looks the same after 1/{turns} of a turn"),
         Symmetry::Round => "it looks the same from everywhere".to_owned(),
     };
-    tell(format!("{}: {x:.2} x {y:.2} mm; {turns}", part.name));
+    format!("{}: {x:.2} x {y:.2} mm; {turns}", part.name)
 }
 
 /// Reads a part from a CAD file or a height map.

@@ -6,6 +6,7 @@ use std::sync::{Arc, Once};
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use smr_gpu::Sensor;
+use smr_gpu::files::Outputs;
 use smr_gpu::simulator::Error;
 use smr_gpu::simulator::conditions::Distribution;
 use smr_gpu::simulator::dataset::{self, Progress, Settings, Step};
@@ -20,6 +21,7 @@ use super::exit::{Exit, Failure};
 use super::message::tell;
 use super::output;
 use super::parts::{self, CadArgs, PartArg, part};
+use super::preview;
 
 /// Simulate pictures of snaps pressed into the sensor's gel
 ///
@@ -30,18 +32,25 @@ use super::parts::{self, CadArgs, PartArg, part};
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Folder to write to.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "preview")]
+    out: Option<PathBuf>,
 
     /// Number of pictures.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    #[arg(allow_negative_numbers = true)]
-    count: u32,
+    #[arg(allow_negative_numbers = true, required_unless_present = "preview")]
+    count: Option<u32>,
 
-    /// Seed of the data set.
+    /// Seed of the data set, or of the presses of --preview.
     #[arg(long, value_name = "S")]
-    #[arg(allow_negative_numbers = true)]
-    seed: u64,
+    #[arg(allow_negative_numbers = true, required_unless_present = "preview")]
+    seed: Option<u64>,
+
+    /// Write one sheet (PNG) instead of a data set: of each --part what is seen of it from the gel, where its 0°
+    /// is, its heights in millimetres, and six presses with their boxes and directions.
+    #[arg(long, value_name = "FILE", requires = "part", conflicts_with_all = [
+        "out", "count", "kind", "conditions", "press", "sensor", "look_alike", "force",
+    ])]
+    preview: Option<PathBuf>,
 
     /// Which snaps the pictures show.
     #[arg(long, value_enum, default_value_t = Mix::Mixed)]
@@ -152,10 +161,19 @@ pub(super) fn drawable(text: &str) -> Result<Sensor, String> {
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    let Args { out, count, seed, kind, conditions, press, sensor, look_alike, mut force, .. } =
-        args;
-    let plain = conditions == Conditions::Plain;
     let mut own = parts::own(&args.part, &args.negative, &args.cad)?;
+    let (out, count, seed) = match (args.preview, args.out, args.count, args.seed) {
+        (Some(sheet), _, _, seed) => {
+            let mut outputs = Outputs::sparing(parts::files(&args.part));
+            preview::write(&mut outputs, &sheet, &own, seed.unwrap_or_default())?;
+            tell(format!("{}: what the simulator makes of the parts", sheet.display()));
+            return Ok(Exit::Done);
+        }
+        (None, Some(out), Some(count), Some(seed)) => (out, count, seed),
+        _ => return Err(Failure::usage("expected --out, --count and --seed, or --preview")),
+    };
+    let Args { kind, conditions, press, sensor, look_alike, mut force, .. } = args;
+    let plain = conditions == Conditions::Plain;
     let narrowed = look_alike.is_some();
     let look_alike = match look_alike {
         Some(name) => only(&name, &mut own)?,

@@ -152,16 +152,11 @@ fn label(
         Snap::Stud(stud) => (None, Some(stud)),
         Snap::Own(_) => (None, None),
     };
-    let yaw_deg = snap.yaw.to_degrees();
     Some(Label {
         kind: snap.part.kind().name().to_owned(),
         pixel_box: imprint.pixel_box,
         area_px: imprint.area_px,
-        yaw_deg: match &snap.part {
-            Snap::Hook(_) => Some(yaw_deg),
-            Snap::Stud(_) => None,
-            Snap::Own(part) => part.direction(yaw_deg),
-        },
+        yaw_deg: snap.part.direction(snap.yaw.to_degrees()),
         depth_mm: snap.depth_mm,
         center_mm: camera.flat_place(0.5 * (x0 + x1), 0.5 * (y0 + y1)),
         whole: visible == 1.0,

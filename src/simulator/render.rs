@@ -173,29 +173,42 @@ impl Renderer {
 
     fn plain(&mut self, seed: u64, request: &Request) -> Result<Rendered, Error> {
         let mix = request.mix;
-        let frame = Raster::PAPER;
-        let plan = self.plain.get_or_insert_with(|| Plan::new(Layer::default(), GRID));
         let mut rng = Pcg64::seed_from_u64(seed);
-        let camera = Camera { blur_px: rng.random_range(0.6..2.2), ..Camera::default() };
-        let [width, height] = frame.size_px();
-        let window = [0.0, 0.0, width, height];
+        let camera = plain_camera(&mut rng);
         for _ in 0..ATTEMPTS {
             let scene = Scene::sample(rng.random_range(0..u64::MAX), mix, &request.own);
             if matches!(mix, Mix::A | Mix::B) && scene.snaps.is_empty() {
                 continue;
             }
-            let body = scene.body(GRID, frame.size_mm());
-            let contact = solve(&mut plan.elasticity, &body.penetration, STOP);
-            let found = imprints(&body, &contact, GRID, &camera, window, scene.snaps.len());
-            let found = labels(&scene.snaps, &found, &camera, window);
-            let Some(labels) = found else { continue };
-            let surface = Surface::new(GRID, contact.displacement);
-            let look = Appearance::plain(&mut rng, camera);
-            let picture = self.painter.paint(&look, &surface, None, &mut rng);
-            let conditions = plain_conditions(&look, plan.layer, window);
-            return Ok(Rendered { picture, frame, conditions, labels });
+            if let Some(rendered) = self.plain_scene(&scene, camera, &mut rng) {
+                return Ok(rendered);
+            }
         }
         Err(Error::NoScene { seed, attempts: ATTEMPTS })
+    }
+
+    /// Renders this scene as a plain picture, whose focus, light, wear and noise are drawn from `seed`. `None` if
+    /// one of its snaps is not to be seen.
+    pub fn scene(&mut self, scene: &Scene, seed: u64) -> Option<Rendered> {
+        let mut rng = Pcg64::seed_from_u64(seed);
+        let camera = plain_camera(&mut rng);
+        self.plain_scene(scene, camera, &mut rng)
+    }
+
+    fn plain_scene(&mut self, scene: &Scene, camera: Camera, rng: &mut Pcg64) -> Option<Rendered> {
+        let plan = self.plain.get_or_insert_with(|| Plan::new(Layer::default(), GRID));
+        let frame = camera.frame;
+        let [width, height] = frame.size_px();
+        let window = [0.0, 0.0, width, height];
+        let body = scene.body(GRID, frame.size_mm());
+        let contact = solve(&mut plan.elasticity, &body.penetration, STOP);
+        let found = imprints(&body, &contact, GRID, &camera, window, scene.snaps.len());
+        let labels = labels(&scene.snaps, &found, &camera, window)?;
+        let surface = Surface::new(GRID, contact.displacement);
+        let look = Appearance::plain(rng, camera);
+        let picture = self.painter.paint(&look, &surface, None, rng);
+        let conditions = plain_conditions(&look, plan.layer, window);
+        Some(Rendered { picture, frame, conditions, labels })
     }
 
     fn wide(
@@ -333,6 +346,11 @@ fn shown(camera: &Camera, [x0, y0, x1, y1]: PixelBox, field_mm: [f64; 2]) -> [f6
     let corners = [(x0, y0), (x0, y1), (x1, y0), (x1, y1)].map(|(x, y)| camera.flat_place(x, y));
     [0, 1]
         .map(|axis| corners.iter().fold(field_mm[axis], |size, at| size.max(2.0 * at[axis].abs())))
+}
+
+/// The paper's camera, more or less in focus.
+fn plain_camera(rng: &mut Pcg64) -> Camera {
+    Camera { blur_px: rng.random_range(0.6..2.2), ..Camera::default() }
 }
 
 fn plain_conditions(look: &Appearance, layer: Layer, window: PixelBox) -> Conditions {

@@ -202,13 +202,22 @@ impl Scene {
         scene
     }
 
+    /// Draws a snap of this kind alone, as plain scenes show it.
+    pub fn alone(rng: &mut Pcg64, kind: &Kind) -> Self {
+        let mut scene = Self { snaps: Vec::new(), distractors: Vec::new() };
+        scene.add_snap(rng, kind);
+        scene
+    }
+
     fn add_snap(&mut self, rng: &mut Pcg64, kind: &Kind) {
         let part = Snap::sample(rng, kind);
         let reach = part.reach();
         let depth_mm = part.sample_depth(rng);
         let (tilt, yaw) = (sample_tilt(rng, 2.5), sample_yaw(rng));
         // Most lie on the gel as a whole, some reach over its edge.
-        let limit = if rng.random_bool(0.85) { GEL_MM / 2.0 - reach } else { GEL_MM / 2.0 - 0.5 };
+        let reaches = if rng.random_bool(0.85) { reach } else { 0.5 };
+        // What is larger than the gel lies near its middle.
+        let limit = (GEL_MM / 2.0 - reaches).max(1.0);
         for _ in 0..30 {
             let center_mm = [rng.random_range(-limit..limit), rng.random_range(-limit..limit)];
             let clear = self.snaps.iter().all(|other| {

@@ -449,6 +449,15 @@ impl Snap {
         }
     }
 
+    /// The direction that a label states of a part turned by this yaw, in degrees: none of what has none.
+    pub fn direction(&self, yaw_deg: f64) -> Option<f64> {
+        match self {
+            Self::Hook(_) => Some(yaw_deg),
+            Self::Stud(_) => None,
+            Self::Own(part) => part.direction(yaw_deg),
+        }
+    }
+
     /// Height in millimetres; 0 at the highest point, falling steeply outside the part.
     pub fn height(&self, x: f64, y: f64) -> f64 {
         match self {

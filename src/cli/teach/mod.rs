@@ -20,7 +20,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 use serde::{Deserialize, Serialize};
-use smr_gpu::files::{self, Lock, lock};
+use smr_gpu::files::{self, Lock, Outputs, lock};
 use smr_gpu::simulator::dataset::{self, Progress, Settings, Step};
 use smr_gpu::simulator::given::Given;
 use smr_gpu::simulator::scene::Own;
@@ -32,6 +32,7 @@ use super::message::tell;
 use super::names::shown;
 use super::output::{count, line};
 use super::parts::{self, CadArgs, PartArg};
+use super::preview;
 use super::simulate::{drawable, failure};
 use plan::{Plan, Role, Set};
 use python::{Estimate, Python};
@@ -187,6 +188,10 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         test: args.test as usize,
     };
     let sets = if args.part.is_empty() { Vec::new() } else { plan.sets() };
+    if !sets.is_empty() {
+        let mut outputs = Outputs::sparing(parts::files(&args.part));
+        preview::write(&mut outputs, &work.join("parts.png"), &own, args.seed.into())?;
+    }
     let teaching = Teaching { args: &args, work, own, sets, python };
     let started = Instant::now();
     teaching.foresee()?;

@@ -3,14 +3,14 @@
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-use image::{ImageFormat, RgbImage};
 use plotters::chart::SeriesLabelPosition;
 use smr_gpu::evaluation::{
     Figures, RIGHT_IOU, Seen, confusion, deviations, figures, precision_recall, reliability,
     share_within,
 };
-use smr_gpu::files;
+use smr_gpu::files::{self, Outputs};
 
+use super::super::draw;
 use super::super::eval::sheet;
 use super::super::exit::{Exit, Failure};
 use super::super::names::shown;
@@ -67,6 +67,9 @@ impl Pages<'_> {
         }
         row("steps", args.steps.to_string());
         row("tested on", self.judged.adapter.clone());
+        if !parts.is_empty() {
+            text += "\n![What the program makes of the parts](parts.png)\n";
+        }
         let weights = shown(weights.as_os_str());
         let _ = writeln!(
             text,
@@ -220,7 +223,8 @@ impl Pages<'_> {
         let worst = sheet::worst(&shown, classes, COUNTS_ABOVE);
         for (name, title, sheet) in [("hits", "The best", best), ("misses", "The worst", worst)] {
             let Some(sheet) = sheet else { continue };
-            self.save(&format!("{name}.png"), &sheet)?;
+            let file = self.teaching.work.join(format!("{name}.png"));
+            draw::write(&mut Outputs::default(), &file, &sheet)?;
             let _ = write!(text, "\n{title}:\n\n![{title}]({name}.png)\n");
         }
         Ok(text)
@@ -270,14 +274,6 @@ impl Pages<'_> {
         let png =
             charts::png(chart).map_err(|e| Failure::new(Exit::Output, format!("{name}: {e}")))?;
         Ok(files::write(&self.teaching.work.join(name), &png)?)
-    }
-
-    fn save(&self, name: &str, picture: &RgbImage) -> Result<(), Failure> {
-        let mut png = std::io::Cursor::new(Vec::new());
-        picture
-            .write_to(&mut png, ImageFormat::Png)
-            .map_err(|e| Failure::new(Exit::Output, format!("{name}: {e}")))?;
-        Ok(files::write(&self.teaching.work.join(name), png.get_ref())?)
     }
 }
 

@@ -1706,6 +1706,67 @@ fn preview(folder: &std::path::Path, args: &[&str]) -> program::Ran {
     program::command(folder).args(["simulate"]).args(args).output().expect("the program").into()
 }
 
+/// Parts that lie differently in their files are of one data set.
+#[test]
+fn a_part_s_settings_go_before_the_options() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = |name: &str| folder.path().join(name);
+    let write = |name: &str, text: &str| std::fs::write(file(name), text).expect("written");
+    std::fs::create_dir(file("cad")).expect("a folder");
+    // 8 × 4 × 2 mm, in inches for one of the two.
+    let block = |scale: f64| stl_of_boxes(&[[[0.0; 3], [8.0, 4.0, 2.0].map(|mm| mm / scale)]]);
+    write("cad/block.stl", &block(1.0));
+    write("inches.stl", &block(25.4));
+    write("cad/side.json", r#"{"file": "block.stl", "axis": "x", "up": "y"}"#);
+    write("inches.json", r#"{"file": "inches.stl", "unit": "inch"}"#);
+    let parts = [
+        "--part",
+        "side=cad/side.json",
+        "--part",
+        "inches=inches.json",
+        "--part",
+        "top=cad/block.stl",
+    ];
+    let run =
+        simulate_parts(folder.path(), &[&parts[..], &["--axis", "y", "--count", "1"]].concat());
+    // From y what points up is z, against which x runs to the left or right; from x it is y here.
+    let run = run.expect(0).tells("side: 2.00 x 4.00 mm").tells("inches: 8.00 x 2.00 mm");
+    run.tells("top: 8.00 x 2.00 mm");
+
+    let told = |text: &str, words: &[&str]| {
+        write("part.json", text);
+        let run = simulate_parts(folder.path(), &["--part", "part=part.json", "--count", "1"]);
+        words.iter().fold(run.expect(1).tells("part.json: "), |run, words| run.tells(words));
+    };
+    told(r#"{"axis": "x"}"#, &["missing field `file`"]);
+    told(r#"{"file": "gone.stl"}"#, &["file: expected a CAD file", "gone.stl"]);
+    told(r#"{"file": "part.json"}"#, &["file: expected a CAD file", "got settings"]);
+    told(
+        r#"{"file": "inches.stl", "axes": "x"}"#,
+        &["axes: unknown field `axes`, expected one of `file`"],
+    );
+    told(
+        r#"{"file": "inches.stl", "axis": "w"}"#,
+        &["axis: unknown variant `w`, expected one of `x`"],
+    );
+    told(r#"{"file": "inches.stl", "unit": 25.4}"#, &["unit: ", "25.4"]);
+    told(
+        r#"{"file": "inches.stl", "map_pixel": "a"}"#,
+        &["map_pixel: invalid type: string", "expected f64"],
+    );
+    told(r#"{"file": "inches.stl", "axis": "z", "up": "-z"}"#, &["inches.stl", "across z, got -z"]);
+    told(r#"{"file": "inches.stl"} x"#, &["trailing characters"]);
+    told(&format!(r#"{{"file": "inches.stl"{}}}"#, " ".repeat(1 << 16)), &["65536"]);
+    let map = image::ImageBuffer::<image::Luma<u16>, _>::from_pixel(40, 40, image::Luma([9u16]));
+    map.save(file("map.png")).expect("saved");
+    let scaled = |pixel| format!(r#"{{"file": "map.png", "map_pixel": {pixel}, "map_height": 2}}"#);
+    told(&scaled("0"), &["map.png: map_pixel: expected more than 0 and at most 1, got 0"]);
+    write("map.json", &scaled("0.1"));
+    let run =
+        simulate_parts(folder.path(), &["--part", "map=map.json", "--count", "1", "--out", "m"]);
+    run.expect(0).tells("map: 4.00 x 4.00 mm");
+}
+
 #[test]
 fn a_preview_shows_a_part_its_heights_and_presses() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -96,7 +96,7 @@ pub enum Error {
     /// No scale.
     #[error("{what}: expected more than 0 and at most {most}, got {got}")]
     MapScale {
-        /// Of what.
+        /// Of what, as the program's options are called.
         what: &'static str,
         /// The most that makes sense.
         most: f64,
@@ -389,7 +389,7 @@ impl Relief {
         mm_full_scale: f64,
     ) -> Result<Self, Error> {
         for (what, got, most) in
-            [("mm_per_pixel", mm_per_pixel, 1.0), ("mm_full_scale", mm_full_scale, 100.0)]
+            [("map_pixel", mm_per_pixel, 1.0), ("map_height", mm_full_scale, 100.0)]
         {
             if !(got > 0.0 && got <= most) {
                 return Err(Error::MapScale { what, most, got });

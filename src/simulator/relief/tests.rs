@@ -373,11 +373,11 @@ fn height_maps_are_read() {
     );
     assert_eq!(
         message(&black, f64::NAN, 2.0),
-        "mm_per_pixel: expected more than 0 and at most 1, got NaN"
+        "map_pixel: expected more than 0 and at most 1, got NaN"
     );
     assert_eq!(
         message(&black, 0.1, 0.0),
-        "mm_full_scale: expected more than 0 and at most 100, got 0"
+        "map_height: expected more than 0 and at most 100, got 0"
     );
     let small = message(&map, 0.001, 2.0);
     assert!(small.starts_with("expected a part of 1 to 60 mm across the gel, got 0.2"), "{small}");

@@ -1,9 +1,13 @@
 //! The simulated sensor against closed forms, and against real presses.
 
+#[allow(dead_code)]
+#[path = "../tools/parts.rs"]
+mod parts;
 #[path = "support/program.rs"]
 mod program;
 
 use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
@@ -32,7 +36,7 @@ use smr_gpu::simulator::optics::{
 use smr_gpu::simulator::options::Drive;
 use smr_gpu::simulator::own_part::OwnPart;
 use smr_gpu::simulator::raster::{FIELD_MM, Raster};
-use smr_gpu::simulator::relief::{Relief, View};
+use smr_gpu::simulator::relief::{Relief, Symmetry, View};
 use smr_gpu::simulator::render::{GRID, Rendered, Renderer, Request, STOP, contact_grid};
 use smr_gpu::simulator::scene::{Body, Mix, Negative, Own, Placed, Scene, scene_seed};
 use smr_gpu::simulator::shadow::{Ray, cast};
@@ -1765,6 +1769,68 @@ fn a_part_s_settings_go_before_the_options() {
     let run =
         simulate_parts(folder.path(), &["--part", "map=map.json", "--count", "1", "--out", "m"]);
     run.expect(0).tells("map: 4.00 x 4.00 mm");
+}
+
+/// A body of this outline, counter-clockwise and convex, from 0 to 3 mm.
+fn prism(outline: &[[f64; 2]]) -> Vec<mesh::Triangle> {
+    let at = |i: usize, z: f32| {
+        let [x, y] = outline[i % outline.len()];
+        [x as f32, y as f32, z]
+    };
+    let sides = (0..outline.len()).flat_map(|i| {
+        let [a, b, c, d] = [at(i, 0.0), at(i + 1, 0.0), at(i + 1, 3.0), at(i, 3.0)];
+        [[a, b, c], [a, c, d]]
+    });
+    let ends = (1..outline.len() - 1).flat_map(|i| {
+        [[at(0, 3.0), at(i, 3.0), at(i + 1, 3.0)], [at(0, 0.0), at(i + 1, 0.0), at(i, 0.0)]]
+    });
+    sides.chain(ends).collect()
+}
+
+/// However a part lies in its file, and on however many threads it is looked at.
+#[test]
+fn symmetry_does_not_depend_on_how_a_part_lies() {
+    let folder = tempfile::tempdir().expect("a folder");
+    parts::write_both(folder.path()).expect("written");
+    let read = |name: &str| {
+        Mesh::read(&folder.path().join(name), Unit::Mm).expect("a mesh").triangles().to_vec()
+    };
+    let rectangle = |x: f64, y: f64| prism(&[[-x, -y], [x, -y], [x, y], [-x, y]]);
+    let round: Vec<_> = (0..180).map(|i| f64::from(i) / 180.0 * TAU).collect();
+    let round: Vec<_> = round.iter().map(|angle| [2.5 * angle.cos(), 2.5 * angle.sin()]).collect();
+    let bodies = [
+        ("clip", read("clip.stl"), Symmetry::None),
+        ("pin", read("pin.stl"), Symmetry::None),
+        ("cube", rectangle(2.5, 2.5), Symmetry::Quarter),
+        ("cylinder", prism(&round), Symmetry::Round),
+        ("bar", rectangle(4.0, 1.0), Symmetry::Half),
+    ];
+    let turned = |triangles: &[mesh::Triangle], degrees: f64| {
+        let (sin, cos) = degrees.to_radians().sin_cos();
+        let turn = |[x, y, z]: [f32; 3]| {
+            let (x, y) = (f64::from(x), f64::from(y));
+            [(cos * x - sin * y) as f32, (sin * x + cos * y) as f32, z]
+        };
+        let triangles = triangles.iter().map(|corners| corners.map(turn)).collect();
+        let mesh = Mesh::new(triangles, Unit::Mm).expect("a mesh");
+        Relief::of_mesh(&mesh, View::default()).expect("a part").0
+    };
+    let bodies = &bodies;
+    std::thread::scope(|scope| {
+        for degrees in [0.0, 0.0, 7.3, 33.1, 61.7, 118.9, 200.3] {
+            scope.spawn(move || {
+                for (name, triangles, expected) in bodies {
+                    let part = OwnPart::new((*name).to_owned(), turned(triangles, degrees));
+                    assert_eq!(part.symmetry, *expected, "{name} turned by {degrees}°");
+                    let yaw = part.direction(30.0);
+                    assert_eq!(yaw, (*expected == Symmetry::None).then_some(30.0));
+                }
+            });
+        }
+    });
+    // A press of 0.3 mm sees the pin's head alone.
+    let pin = turned(&bodies[1].1, 0.0);
+    assert_eq!([0.3, 0.5].map(|depth| pin.symmetry(depth)), [Symmetry::Half, Symmetry::None]);
 }
 
 #[test]

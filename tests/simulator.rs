@@ -1771,6 +1771,100 @@ fn a_part_s_settings_go_before_the_options() {
     run.expect(0).tells("map: 4.00 x 4.00 mm");
 }
 
+/// A closed body of columns of quadrangles, whose file shows it as the simulator's axes have it: y is turned round.
+fn solid(columns: usize, rows: usize, at: impl Fn(usize, usize) -> [f64; 3], floor: f64) -> Mesh {
+    let top = |i, j| at(i, j).map(|v| v as f32);
+    let bottom = |i, j| [top(i, j)[0], top(i, j)[1], floor as f32];
+    let mut triangles = Vec::new();
+    let mut quad = |[a, b, c, d]: [[f32; 3]; 4]| triangles.extend([[a, b, c], [a, c, d]]);
+    for (i, j) in (0..columns).flat_map(|i| (0..rows).map(move |j| (i, j))) {
+        quad([top(i, j), top(i + 1, j), top(i + 1, j + 1), top(i, j + 1)]);
+        quad([bottom(i, j), bottom(i, j + 1), bottom(i + 1, j + 1), bottom(i + 1, j)]);
+    }
+    for i in 0..columns {
+        quad([bottom(i, 0), bottom(i + 1, 0), top(i + 1, 0), top(i, 0)]);
+        quad([bottom(i + 1, rows), bottom(i, rows), top(i, rows), top(i + 1, rows)]);
+    }
+    for j in 0..rows {
+        quad([bottom(0, j + 1), bottom(0, j), top(0, j), top(0, j + 1)]);
+        quad([bottom(columns, j), bottom(columns, j + 1), top(columns, j + 1), top(columns, j)]);
+    }
+    Mesh::new(triangles, Unit::Mm).expect("a mesh")
+}
+
+/// A and B, sampled to triangles and read as a part of one's own, make the pictures that their generators make.
+///
+/// The ways differ at edges alone: between cells of 0.01 mm a wall of slope 5 is off by up to 0.05 mm of height, and a
+/// contact's cell, two pixels, sees the wall at one place. What is pressed there spreads over the cells beside it.
+#[test]
+fn built_in_snaps_are_the_same_as_meshes() {
+    let mut renderer = Renderer::new();
+    for (kind, seed) in [(Kind::A, 1), (Kind::A, 2), (Kind::B, 3), (Kind::B, 4)] {
+        let snap = Snap::sample(&mut Pcg64::seed_from_u64(seed), &kind);
+        // Walls end 3.2 mm below, where no press sees them.
+        const LOWEST: f64 = -3.2;
+        const STEP: f64 = 0.02;
+        let cells = snap.half_size().map(|half| ((half + 0.7) / STEP).ceil() as usize);
+        let [columns, rows] = cells.map(|n| 2 * n);
+        let place = |i: usize, n: usize| (i as f64 - n as f64) * STEP;
+        let at = |i: usize, j: usize| {
+            let (x, y) = (place(i, cells[0]), place(j, cells[1]));
+            [x, y, snap.height(x, -y).max(LOWEST)]
+        };
+        let top = (0..=columns).flat_map(|i| (0..=rows).map(move |j| (i, j)));
+        let top = top.map(|(i, j)| at(i, j)[2]).fold(LOWEST, f64::max);
+        let mesh = solid(columns, rows, at, LOWEST - 1.0);
+        let (relief, remarks) = Relief::of_mesh(&mesh, View::default()).expect("a part");
+        assert_eq!(remarks, []);
+        let own = Snap::Own(OwnPart::new(kind.name().to_owned(), relief));
+        let (yaw, tilt, center_mm) = (0.6, [0.02, -0.01], [1.3, -2.1]);
+        let pictures = [(snap.clone(), 0.9), (own, 0.9 + top)].map(|(part, depth_mm)| {
+            let snaps = vec![Placed { part, center_mm, yaw, tilt, depth_mm }];
+            let scene = Scene { snaps, distractors: Vec::new() };
+            let Rendered { picture, labels, .. } = renderer.scene(&scene, seed).expect("it shows");
+            (picture, labels[0].pixel_box)
+        });
+        // A cell at a box's side is in it or not.
+        let boxes = pictures.each_ref().map(|(_, found)| *found);
+        let off = boxes[0].iter().zip(boxes[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off <= 2.5, "{boxes:?}");
+        let placed = Placed { part: snap, center_mm, yaw, tilt, depth_mm: 0.9 };
+        // Whether within some pixels of this one the part is steep where it presses.
+        let is_edge = |x: u32, y: u32, radius_px: u32| {
+            let [x, y] = [x, y].map(|at| (f64::from(at) + 0.5 - 500.0) * MM_PER_PX);
+            (0..32 * (radius_px + 1)).any(|i| {
+                let (sin, cos) = (f64::from(i % 32) / 32.0 * TAU).sin_cos();
+                let r = f64::from(i / 32) * MM_PER_PX;
+                let [u, v] = placed.local(x + r * cos, y + r * sin);
+                let height = |du: f64, dv: f64| placed.part.height(u + du, v + dv);
+                let right = height(0.02, 0.0) - height(-0.02, 0.0);
+                let down = height(0.0, 0.02) - height(0.0, -0.02);
+                let depth = placed.depth_mm + height(0.0, 0.0) + tilt[0] * u + tilt[1] * v;
+                right.hypot(down) > 0.04 && depth > -0.1
+            })
+        };
+        let [(mine, _), (meshed, _)] = &pictures;
+        let (mut over, mut worst, mut near) = (0, 0, [0; 7]);
+        for (x, y, pixel) in mine.enumerate_pixels() {
+            let other = meshed.get_pixel(x, y).0;
+            let most = pixel.0.iter().zip(other).map(|(a, b)| a.abs_diff(b)).max().expect("three");
+            if most > 1 {
+                over += 1;
+                worst = worst.max(most);
+                let first = [0, 2, 4, 6, 8, 12].iter().position(|r| is_edge(x, y, *r));
+                near[first.unwrap_or(6)] += 1;
+            }
+        }
+        let said = format!(
+            "{} {seed}: {over} of a million pixels differ by more than 1 level, at most by {worst}; of them {near:?} \
+             first within 0, 2, 4, 6, 8, 12 pixels of an edge, and further",
+            kind.name()
+        );
+        println!("{said}");
+        assert!(over < 20_000 && near[6] == 0, "{said}");
+    }
+}
+
 /// A body of this outline, counter-clockwise and convex, from 0 to 3 mm.
 fn prism(outline: &[[f64; 2]]) -> Vec<mesh::Triangle> {
     let at = |i: usize, z: f32| {

@@ -463,21 +463,6 @@ impl Relief {
         self.cells.map(|n| n as f64 * self.spacing_mm / 2.0)
     }
 
-    /// Radius of a circle round the origin that holds the part, in millimetres.
-    pub fn reach(&self) -> f64 {
-        let [width, height] = self.cells;
-        let middle = [width, height].map(|n| n as f64 / 2.0 - 0.5);
-        let rows = self.heights.chunks_exact(width).enumerate();
-        let cells = rows.flat_map(|(row, cells)| {
-            cells.iter().enumerate().map(move |(column, h)| (row, column, h))
-        });
-        let far = cells
-            .filter(|(_, _, h)| h.is_finite())
-            .map(|(row, column, _)| (column as f64 - middle[0]).hypot(row as f64 - middle[1]));
-        // Half a cell's diagonal further.
-        (far.fold(0.0, f64::max) + 0.5f64.sqrt()) * self.spacing_mm
-    }
-
     /// How far the lowest cell that a press of `most_mm` sees lies below the highest, in millimetres.
     pub fn depth_mm(&self, most_mm: f64) -> f64 {
         let seen = self.heights.iter().map(|h| -f64::from(*h)).filter(|depth| *depth <= most_mm);

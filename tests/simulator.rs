@@ -1,9 +1,13 @@
 //! The simulated sensor against closed forms, and against real presses.
 
+#[allow(dead_code)]
+#[path = "../tools/parts.rs"]
+mod parts;
 #[path = "support/program.rs"]
 mod program;
 
 use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
@@ -32,7 +36,7 @@ use smr_gpu::simulator::optics::{
 use smr_gpu::simulator::options::Drive;
 use smr_gpu::simulator::own_part::OwnPart;
 use smr_gpu::simulator::raster::{FIELD_MM, Raster};
-use smr_gpu::simulator::relief::{Relief, View};
+use smr_gpu::simulator::relief::{Relief, Symmetry, View};
 use smr_gpu::simulator::render::{GRID, Rendered, Renderer, Request, STOP, contact_grid};
 use smr_gpu::simulator::scene::{Body, Mix, Negative, Own, Placed, Scene, scene_seed};
 use smr_gpu::simulator::shadow::{Ray, cast};
@@ -1704,6 +1708,223 @@ fn a_part_s_negatives_can_be_had_alone() {
 /// `simulate --preview` of parts in this folder.
 fn preview(folder: &std::path::Path, args: &[&str]) -> program::Ran {
     program::command(folder).args(["simulate"]).args(args).output().expect("the program").into()
+}
+
+/// Parts that lie differently in their files are of one data set.
+#[test]
+fn a_part_s_settings_go_before_the_options() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = |name: &str| folder.path().join(name);
+    let write = |name: &str, text: &str| std::fs::write(file(name), text).expect("written");
+    std::fs::create_dir(file("cad")).expect("a folder");
+    // 8 × 4 × 2 mm, in inches for one of the two.
+    let block = |scale: f64| stl_of_boxes(&[[[0.0; 3], [8.0, 4.0, 2.0].map(|mm| mm / scale)]]);
+    write("cad/block.stl", &block(1.0));
+    write("inches.stl", &block(25.4));
+    write("cad/side.json", r#"{"file": "block.stl", "axis": "x", "up": "y"}"#);
+    write("inches.json", r#"{"file": "inches.stl", "unit": "inch"}"#);
+    let parts = [
+        "--part",
+        "side=cad/side.json",
+        "--part",
+        "inches=inches.json",
+        "--part",
+        "top=cad/block.stl",
+    ];
+    let run =
+        simulate_parts(folder.path(), &[&parts[..], &["--axis", "y", "--count", "1"]].concat());
+    // From y what points up is z, against which x runs to the left or right; from x it is y here.
+    let run = run.expect(0).tells("side: 2.00 x 4.00 mm").tells("inches: 8.00 x 2.00 mm");
+    run.tells("top: 8.00 x 2.00 mm");
+
+    let told = |text: &str, words: &[&str]| {
+        write("part.json", text);
+        let run = simulate_parts(folder.path(), &["--part", "part=part.json", "--count", "1"]);
+        words.iter().fold(run.expect(1).tells("part.json: "), |run, words| run.tells(words));
+    };
+    told(r#"{"axis": "x"}"#, &["missing field `file`"]);
+    told(r#"{"file": "gone.stl"}"#, &["file: expected a CAD file", "gone.stl"]);
+    told(r#"{"file": "part.json"}"#, &["file: expected a CAD file", "got settings"]);
+    told(
+        r#"{"file": "inches.stl", "axes": "x"}"#,
+        &["axes: unknown field `axes`, expected one of `file`"],
+    );
+    told(
+        r#"{"file": "inches.stl", "axis": "w"}"#,
+        &["axis: unknown variant `w`, expected one of `x`"],
+    );
+    told(r#"{"file": "inches.stl", "unit": 25.4}"#, &["unit: ", "25.4"]);
+    told(
+        r#"{"file": "inches.stl", "map_pixel": "a"}"#,
+        &["map_pixel: invalid type: string", "expected f64"],
+    );
+    told(r#"{"file": "inches.stl", "axis": "z", "up": "-z"}"#, &["inches.stl", "across z, got -z"]);
+    told(r#"{"file": "inches.stl"} x"#, &["trailing characters"]);
+    told(&format!(r#"{{"file": "inches.stl"{}}}"#, " ".repeat(1 << 16)), &["65536"]);
+    let map = image::ImageBuffer::<image::Luma<u16>, _>::from_pixel(40, 40, image::Luma([9u16]));
+    map.save(file("map.png")).expect("saved");
+    let scaled = |pixel| format!(r#"{{"file": "map.png", "map_pixel": {pixel}, "map_height": 2}}"#);
+    told(&scaled("0"), &["map.png: map_pixel: expected more than 0 and at most 1, got 0"]);
+    write("map.json", &scaled("0.1"));
+    let run =
+        simulate_parts(folder.path(), &["--part", "map=map.json", "--count", "1", "--out", "m"]);
+    run.expect(0).tells("map: 4.00 x 4.00 mm");
+}
+
+/// A closed body of columns of quadrangles, whose file shows it as the simulator's axes have it: y is turned round.
+fn solid(columns: usize, rows: usize, at: impl Fn(usize, usize) -> [f64; 3], floor: f64) -> Mesh {
+    let top = |i, j| at(i, j).map(|v| v as f32);
+    let bottom = |i, j| [top(i, j)[0], top(i, j)[1], floor as f32];
+    let mut triangles = Vec::new();
+    let mut quad = |[a, b, c, d]: [[f32; 3]; 4]| triangles.extend([[a, b, c], [a, c, d]]);
+    for (i, j) in (0..columns).flat_map(|i| (0..rows).map(move |j| (i, j))) {
+        quad([top(i, j), top(i + 1, j), top(i + 1, j + 1), top(i, j + 1)]);
+        quad([bottom(i, j), bottom(i, j + 1), bottom(i + 1, j + 1), bottom(i + 1, j)]);
+    }
+    for i in 0..columns {
+        quad([bottom(i, 0), bottom(i + 1, 0), top(i + 1, 0), top(i, 0)]);
+        quad([bottom(i + 1, rows), bottom(i, rows), top(i, rows), top(i + 1, rows)]);
+    }
+    for j in 0..rows {
+        quad([bottom(0, j + 1), bottom(0, j), top(0, j), top(0, j + 1)]);
+        quad([bottom(columns, j), bottom(columns, j + 1), top(columns, j + 1), top(columns, j)]);
+    }
+    Mesh::new(triangles, Unit::Mm).expect("a mesh")
+}
+
+/// A and B, sampled to triangles and read as a part of one's own, make the pictures that their generators make.
+///
+/// The ways differ at edges alone: between cells of 0.01 mm a wall of slope 5 is off by up to 0.05 mm of height, and a
+/// contact's cell, two pixels, sees the wall at one place. What is pressed there spreads over the cells beside it.
+#[test]
+fn built_in_snaps_are_the_same_as_meshes() {
+    let mut renderer = Renderer::new();
+    for (kind, seed) in [(Kind::A, 1), (Kind::A, 2), (Kind::B, 3), (Kind::B, 4)] {
+        let snap = Snap::sample(&mut Pcg64::seed_from_u64(seed), &kind);
+        // Walls end 3.2 mm below, where no press sees them.
+        const LOWEST: f64 = -3.2;
+        const STEP: f64 = 0.02;
+        let cells = snap.half_size().map(|half| ((half + 0.7) / STEP).ceil() as usize);
+        let [columns, rows] = cells.map(|n| 2 * n);
+        let place = |i: usize, n: usize| (i as f64 - n as f64) * STEP;
+        let at = |i: usize, j: usize| {
+            let (x, y) = (place(i, cells[0]), place(j, cells[1]));
+            [x, y, snap.height(x, -y).max(LOWEST)]
+        };
+        let top = (0..=columns).flat_map(|i| (0..=rows).map(move |j| (i, j)));
+        let top = top.map(|(i, j)| at(i, j)[2]).fold(LOWEST, f64::max);
+        let mesh = solid(columns, rows, at, LOWEST - 1.0);
+        let (relief, remarks) = Relief::of_mesh(&mesh, View::default()).expect("a part");
+        assert_eq!(remarks, []);
+        let own = Snap::Own(OwnPart::new(kind.name().to_owned(), relief));
+        let (yaw, tilt, center_mm) = (0.6, [0.02, -0.01], [1.3, -2.1]);
+        let pictures = [(snap.clone(), 0.9), (own, 0.9 + top)].map(|(part, depth_mm)| {
+            let snaps = vec![Placed { part, center_mm, yaw, tilt, depth_mm }];
+            let scene = Scene { snaps, distractors: Vec::new() };
+            let Rendered { picture, labels, .. } = renderer.scene(&scene, seed).expect("it shows");
+            (picture, labels[0].pixel_box)
+        });
+        // A cell at a box's side is in it or not.
+        let boxes = pictures.each_ref().map(|(_, found)| *found);
+        let off = boxes[0].iter().zip(boxes[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off <= 2.5, "{boxes:?}");
+        let placed = Placed { part: snap, center_mm, yaw, tilt, depth_mm: 0.9 };
+        // Whether within some pixels of this one the part is steep where it presses.
+        let is_edge = |x: u32, y: u32, radius_px: u32| {
+            let [x, y] = [x, y].map(|at| (f64::from(at) + 0.5 - 500.0) * MM_PER_PX);
+            (0..32 * (radius_px + 1)).any(|i| {
+                let (sin, cos) = (f64::from(i % 32) / 32.0 * TAU).sin_cos();
+                let r = f64::from(i / 32) * MM_PER_PX;
+                let [u, v] = placed.local(x + r * cos, y + r * sin);
+                let height = |du: f64, dv: f64| placed.part.height(u + du, v + dv);
+                let right = height(0.02, 0.0) - height(-0.02, 0.0);
+                let down = height(0.0, 0.02) - height(0.0, -0.02);
+                let depth = placed.depth_mm + height(0.0, 0.0) + tilt[0] * u + tilt[1] * v;
+                right.hypot(down) > 0.04 && depth > -0.1
+            })
+        };
+        let [(mine, _), (meshed, _)] = &pictures;
+        let (mut over, mut worst, mut near) = (0, 0, [0; 7]);
+        for (x, y, pixel) in mine.enumerate_pixels() {
+            let other = meshed.get_pixel(x, y).0;
+            let most = pixel.0.iter().zip(other).map(|(a, b)| a.abs_diff(b)).max().expect("three");
+            if most > 1 {
+                over += 1;
+                worst = worst.max(most);
+                let first = [0, 2, 4, 6, 8, 12].iter().position(|r| is_edge(x, y, *r));
+                near[first.unwrap_or(6)] += 1;
+            }
+        }
+        let said = format!(
+            "{} {seed}: {over} of a million pixels differ by more than 1 level, at most by {worst}; of them {near:?} \
+             first within 0, 2, 4, 6, 8, 12 pixels of an edge, and further",
+            kind.name()
+        );
+        println!("{said}");
+        assert!(over < 20_000 && near[6] == 0, "{said}");
+    }
+}
+
+/// A body of this outline, counter-clockwise and convex, from 0 to 3 mm.
+fn prism(outline: &[[f64; 2]]) -> Vec<mesh::Triangle> {
+    let at = |i: usize, z: f32| {
+        let [x, y] = outline[i % outline.len()];
+        [x as f32, y as f32, z]
+    };
+    let sides = (0..outline.len()).flat_map(|i| {
+        let [a, b, c, d] = [at(i, 0.0), at(i + 1, 0.0), at(i + 1, 3.0), at(i, 3.0)];
+        [[a, b, c], [a, c, d]]
+    });
+    let ends = (1..outline.len() - 1).flat_map(|i| {
+        [[at(0, 3.0), at(i, 3.0), at(i + 1, 3.0)], [at(0, 0.0), at(i + 1, 0.0), at(i, 0.0)]]
+    });
+    sides.chain(ends).collect()
+}
+
+/// However a part lies in its file, and on however many threads it is looked at.
+#[test]
+fn symmetry_does_not_depend_on_how_a_part_lies() {
+    let folder = tempfile::tempdir().expect("a folder");
+    parts::write_both(folder.path()).expect("written");
+    let read = |name: &str| {
+        Mesh::read(&folder.path().join(name), Unit::Mm).expect("a mesh").triangles().to_vec()
+    };
+    let rectangle = |x: f64, y: f64| prism(&[[-x, -y], [x, -y], [x, y], [-x, y]]);
+    let round: Vec<_> = (0..180).map(|i| f64::from(i) / 180.0 * TAU).collect();
+    let round: Vec<_> = round.iter().map(|angle| [2.5 * angle.cos(), 2.5 * angle.sin()]).collect();
+    let bodies = [
+        ("clip", read("clip.stl"), Symmetry::None),
+        ("pin", read("pin.stl"), Symmetry::None),
+        ("cube", rectangle(2.5, 2.5), Symmetry::Quarter),
+        ("cylinder", prism(&round), Symmetry::Round),
+        ("bar", rectangle(4.0, 1.0), Symmetry::Half),
+    ];
+    let turned = |triangles: &[mesh::Triangle], degrees: f64| {
+        let (sin, cos) = degrees.to_radians().sin_cos();
+        let turn = |[x, y, z]: [f32; 3]| {
+            let (x, y) = (f64::from(x), f64::from(y));
+            [(cos * x - sin * y) as f32, (sin * x + cos * y) as f32, z]
+        };
+        let triangles = triangles.iter().map(|corners| corners.map(turn)).collect();
+        let mesh = Mesh::new(triangles, Unit::Mm).expect("a mesh");
+        Relief::of_mesh(&mesh, View::default()).expect("a part").0
+    };
+    let bodies = &bodies;
+    std::thread::scope(|scope| {
+        for degrees in [0.0, 0.0, 7.3, 33.1, 61.7, 118.9, 200.3] {
+            scope.spawn(move || {
+                for (name, triangles, expected) in bodies {
+                    let part = OwnPart::new((*name).to_owned(), turned(triangles, degrees));
+                    assert_eq!(part.symmetry, *expected, "{name} turned by {degrees}°");
+                    let yaw = part.direction(30.0);
+                    assert_eq!(yaw, (*expected == Symmetry::None).then_some(30.0));
+                }
+            });
+        }
+    });
+    // A press of 0.3 mm sees the pin's head alone.
+    let pin = turned(&bodies[1].1, 0.0);
+    assert_eq!([0.3, 0.5].map(|depth| pin.symmetry(depth)), [Symmetry::Half, Symmetry::None]);
 }
 
 #[test]

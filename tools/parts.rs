@@ -21,8 +21,13 @@ type Point = [f64; 3];
 fn main() -> Result<(), Box<dyn Error>> {
     let folder = std::env::args_os().nth(1).map(PathBuf::from).ok_or("expected a folder")?;
     std::fs::create_dir_all(&folder)?;
-    write(&folder, "clip", &Clip::default().sections())?;
-    write(&folder, "pin", &Pin::default().sections())
+    write_both(&folder)
+}
+
+/// Writes both parts.
+pub fn write_both(folder: &Path) -> Result<(), Box<dyn Error>> {
+    write(folder, "clip", &Clip::default().sections())?;
+    write(folder, "pin", &Pin::default().sections())
 }
 
 /// A clip bent to a U from flat strip: round ridges across both arms that hold what it is pushed over, a higher bead

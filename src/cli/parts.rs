@@ -3,6 +3,7 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use serde::Deserialize;
 use smr_gpu::simulator::Error;
 use smr_gpu::simulator::mesh::{Mesh, Unit};
 use smr_gpu::simulator::own_part::OwnPart;
@@ -16,9 +17,11 @@ use super::names::shown;
 
 /// Most classes that a network has.
 const MOST_CLASSES: usize = 10;
+/// Longest file of a part's settings, in bytes.
+const MOST_SETTINGS: u64 = 1 << 16;
 
-/// How the files' parts lie before the gel.
-#[derive(Debug, clap::Args)]
+/// How the files' parts lie before the gel, where a part's own file of settings does not say it.
+#[derive(Debug, Clone, Copy, clap::Args)]
 pub(super) struct CadArgs {
     /// Which direction of the files points to the gel.
     #[arg(long, default_value = "z", value_name = "x|y|z|-x|-y|-z", value_parser = direction)]
@@ -110,11 +113,59 @@ pub(super) fn part_or_file(text: &str) -> Result<PartArg, String> {
 }
 
 /// The files that the parts are read from.
-pub(super) fn files(parts: &[PartArg]) -> impl Iterator<Item = &Path> {
-    parts.iter().filter_map(|part| match part {
+pub(super) fn files(parts: &[PartArg]) -> Vec<PathBuf> {
+    let named = parts.iter().filter_map(|part| match part {
         PartArg::A | PartArg::B => None,
-        PartArg::Own { file, .. } => Some(file.as_path()),
-    })
+        PartArg::Own { file, .. } => Some(file.clone()),
+    });
+    let files: Vec<_> = named.collect();
+    let told = files.iter().filter(|file| is_settings(file)).filter_map(|file| settings(file).ok());
+    let told: Vec<_> = told.map(|settings| settings.file).collect();
+    [files, told].concat()
+}
+
+/// A part's settings: what differs from part to part.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PartSettings {
+    /// The CAD file or height map.
+    file: PathBuf,
+    axis: Option<Direction>,
+    up: Option<Direction>,
+    unit: Option<Unit>,
+    map_pixel: Option<f64>,
+    map_height: Option<f64>,
+}
+
+fn has_ending(file: &Path, ending: &str) -> bool {
+    file.extension().is_some_and(|own| own.eq_ignore_ascii_case(ending))
+}
+
+fn is_settings(file: &Path) -> bool {
+    has_ending(file, "json")
+}
+
+/// Reads a part's settings; its file is named from their folder.
+///
+/// # Errors
+/// In words that name the key.
+fn settings(path: &Path) -> Result<PartSettings, String> {
+    let bytes = smr_gpu::files::read(path, MOST_SETTINGS).map_err(|e| e.to_string())?;
+    let text = smr_gpu::files::text(&bytes).map_err(|e| e.to_string())?;
+    let mut json = serde_json::Deserializer::from_str(text);
+    let read = serde_path_to_error::deserialize::<_, PartSettings>(&mut json);
+    let mut settings = read.map_err(|e| match e.path().iter().next() {
+        None => e.inner().to_string(),
+        Some(_) => e.to_string(),
+    })?;
+    json.end().map_err(|e| e.to_string())?;
+    settings.file = path.parent().unwrap_or(Path::new("")).join(settings.file);
+    if is_settings(&settings.file) || !settings.file.exists() {
+        let got = if is_settings(&settings.file) { "settings" } else { "none there" };
+        let file = shown(settings.file.as_os_str());
+        return Err(format!("file: expected a CAD file or a height map, got {got}: {file}"));
+    }
+    Ok(settings)
 }
 
 /// Reads the parts and what is taken for them, and tells what is odd about each.
@@ -177,16 +228,31 @@ pub(super) fn described(part: &OwnPart) -> String {
     format!("{}: {x:.2} x {y:.2} mm; {turns}", part.name)
 }
 
-/// Reads a part from a CAD file or a height map.
+/// Reads a part from a CAD file or a height map, or from what settings name.
 fn read(file: &Path, cad: &CadArgs) -> Result<Relief, Failure> {
+    if !is_settings(file) {
+        return read_shape(file, cad);
+    }
+    let about = |message: String| format!("{}: {message}", shown(file.as_os_str()));
+    let own = settings(file).map_err(|e| Failure::new(Exit::Inputs, about(e)))?;
+    let cad = CadArgs {
+        axis: own.axis.unwrap_or(cad.axis),
+        up: own.up.or(cad.up),
+        unit: own.unit.unwrap_or(cad.unit),
+        map_pixel: own.map_pixel.or(cad.map_pixel),
+        map_height: own.map_height.or(cad.map_height),
+    };
+    read_shape(&own.file, &cad).map_err(|e| Failure { message: e.message.map(about), ..e })
+}
+
+fn read_shape(file: &Path, cad: &CadArgs) -> Result<Relief, Failure> {
     let part = |source: relief::Error| {
         Failure::new(Exit::Inputs, Error::Part { path: file.to_owned(), source })
     };
-    let is_map = file.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png"));
-    if is_map {
+    if has_ending(file, "png") {
         let (Some(pixel), Some(height)) = (cad.map_pixel, cad.map_height) else {
             let message = format!(
-                "{}: expected --map-pixel and --map-height for a height map, got none",
+                "{}: expected map_pixel and map_height for a height map, as options or beside it in JSON, got none",
                 shown(file.as_os_str())
             );
             return Err(Failure::usage(message));

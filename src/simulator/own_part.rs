@@ -35,7 +35,12 @@ impl OwnPart {
     }
 
     /// The direction that a label states of a yaw in degrees: none for a part that looks the same after some
-    /// turn, since a detector's directions are whole ones.
+    /// turn.
+    ///
+    /// It could be folded into that part of a turn. But a network says sine and cosine of a whole turn, and its loss
+    /// takes two equal pictures with opposite directions for a contradiction; to fold, each class would have a
+    /// number of turns in labels, weights, decoding, `eval` and what is done with a yaw. A gripper gains little: a
+    /// part of two sides shows its line in its box.
     pub fn direction(&self, yaw_deg: f64) -> Option<f64> {
         (self.symmetry == Symmetry::None).then_some(yaw_deg)
     }

@@ -96,7 +96,7 @@ pub enum Error {
     /// No scale.
     #[error("{what}: expected more than 0 and at most {most}, got {got}")]
     MapScale {
-        /// Of what.
+        /// Of what, as the program's options are called.
         what: &'static str,
         /// The most that makes sense.
         most: f64,
@@ -389,7 +389,7 @@ impl Relief {
         mm_full_scale: f64,
     ) -> Result<Self, Error> {
         for (what, got, most) in
-            [("mm_per_pixel", mm_per_pixel, 1.0), ("mm_full_scale", mm_full_scale, 100.0)]
+            [("map_pixel", mm_per_pixel, 1.0), ("map_height", mm_full_scale, 100.0)]
         {
             if !(got > 0.0 && got <= most) {
                 return Err(Error::MapScale { what, most, got });
@@ -461,21 +461,6 @@ impl Relief {
     /// Half the part's size along its own x and y, to half a cell.
     pub fn half_size(&self) -> [f64; 2] {
         self.cells.map(|n| n as f64 * self.spacing_mm / 2.0)
-    }
-
-    /// Radius of a circle round the origin that holds the part, in millimetres.
-    pub fn reach(&self) -> f64 {
-        let [width, height] = self.cells;
-        let middle = [width, height].map(|n| n as f64 / 2.0 - 0.5);
-        let rows = self.heights.chunks_exact(width).enumerate();
-        let cells = rows.flat_map(|(row, cells)| {
-            cells.iter().enumerate().map(move |(column, h)| (row, column, h))
-        });
-        let far = cells
-            .filter(|(_, _, h)| h.is_finite())
-            .map(|(row, column, _)| (column as f64 - middle[0]).hypot(row as f64 - middle[1]));
-        // Half a cell's diagonal further.
-        (far.fold(0.0, f64::max) + 0.5f64.sqrt()) * self.spacing_mm
     }
 
     /// How far the lowest cell that a press of `most_mm` sees lies below the highest, in millimetres.

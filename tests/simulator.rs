@@ -1753,7 +1753,7 @@ fn a_part_s_settings_go_before_the_options() {
         r#"{"file": "inches.stl", "axis": "w"}"#,
         &["axis: unknown variant `w`, expected one of `x`"],
     );
-    told(r#"{"file": "inches.stl", "unit": 25.4}"#, &["unit: ", "25.4"]);
+    told(r#"{"file": "inches.stl", "unit": "cm"}"#, &["unit: unknown variant `cm`", "`inch`"]);
     told(
         r#"{"file": "inches.stl", "map_pixel": "a"}"#,
         &["map_pixel: invalid type: string", "expected f64"],

@@ -252,7 +252,7 @@ fn read_shape(file: &Path, cad: &CadArgs) -> Result<Relief, Failure> {
     if has_ending(file, "png") {
         let (Some(pixel), Some(height)) = (cad.map_pixel, cad.map_height) else {
             let message = format!(
-                "{}: expected map_pixel and map_height for a height map, as options or beside it in JSON, got none",
+                "{}: expected --map-pixel and --map-height for a height map, got none",
                 shown(file.as_os_str())
             );
             return Err(Failure::usage(message));

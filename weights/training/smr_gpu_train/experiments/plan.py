@@ -105,6 +105,11 @@ def read(file: Path) -> Plan:
         sets, rows, runs = given.pop("sets"), given.pop("rows"), given.pop("runs")
         kept = [_made(Set, f"{file}: sets: {each.get('name')}", each) for each in sets]
         named = {name: _made(Row, f"{file}: rows: {name}", {"name": name, **row}) for name, row in rows.items()}
+        for each in kept:
+            _among(f"{file}: sets: {each.name}: use", each.use, USES)
+        for row in named.values():
+            _among(f"{file}: rows: {row.name}: model", row.model, MODELS)
+            _among(f"{file}: rows: {row.name}: backbone", row.backbone, BACKBONES)
         ordered = []
         for row, network, *seeds in runs:
             _among(f"{file}: runs", row, named)
@@ -114,11 +119,6 @@ def read(file: Path) -> Plan:
         raise Failure(f"{file}: expected a plan, got {error.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise Failure(f"{file}: expected a plan, got {type(error).__name__}: {error}") from None
-    for each in kept:
-        _among(f"{file}: sets: {each.name}: use", each.use, USES)
-    for row in named.values():
-        _among(f"{file}: rows: {row.name}: model", row.model, MODELS)
-        _among(f"{file}: rows: {row.name}: backbone", row.backbone, BACKBONES)
     names = [run.name for run in ordered]
     if len({*names}) < len(names):
         raise Failure(f"{file}: expected each run once, got one twice")

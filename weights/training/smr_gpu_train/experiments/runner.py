@@ -190,30 +190,43 @@ def locked(folder: Path) -> Iterator[bool]:
         yield True
 
 
+def run_one(plan: Plan, run: Run, data: Path, out: Path, program: Path | None, stopped: Callable[[], bool]) -> bool:
+    """Whether it came to the end."""
+    if run.row.model == "yolo":
+        if program is None:
+            log(f"{run.name}: left out: --yolo names no program")
+            return True
+        from . import yolo
+
+        return yolo.train(plan, run, data, out, program, stopped)
+    training = Training(plan, run, data, out)
+    if not training.train(stopped):
+        return False
+    training.finish()
+    log(f"{run.name}: complete, {training.now.views} views in {training.now.seconds / 60:.0f} min")
+    return True
+
+
 def run_all(plan: Plan, runs: list[Run], data: Path, out: Path, program: Path | None) -> bool:
-    """In their order, without what is complete, what another runner has, and what needs a program that is not given; whether it came to the end."""
+    """In their order, without what is complete, what another runner has, and what needs a program that is not given; whether it came to the end.
+
+    A run that fails does not keep the others from theirs: `Failure` is raised in the end."""
     torch.set_num_threads(plan.threads)
     keep_memory()
-    stopping = Stopping()
+    stopping, failed = Stopping(), list[str]()
     try:
         for run in runs:
             with locked(out / run.name) as ours:
                 if not ours or Progress.load(out / run.name).complete:
                     continue
-                if run.row.model == "yolo":
-                    if program is None:
-                        log(f"{run.name}: left out: --yolo names no program")
-                        continue
-                    from . import yolo
-
-                    if not yolo.train(plan, run, data, out, program, lambda: stopping.asked):
+                try:
+                    if not run_one(plan, run, data, out, program, lambda: stopping.asked):
                         return False
-                    continue
-                training = Training(plan, run, data, out)
-                if not training.train(lambda: stopping.asked):
-                    return False
-                training.finish()
-                log(f"{run.name}: complete, {training.now.views} views in {training.now.seconds / 60:.0f} min")
+                except Failure as failure:
+                    failed.append(f"{run.name}: {failure}")
+                    log(failed[-1])
+        if failed:
+            raise Failure("; ".join(failed))
         return True
     finally:
         stopping.back()

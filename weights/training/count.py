@@ -8,6 +8,7 @@ from smr_gpu_train.config import NETWORKS, Config
 from smr_gpu_train.experiments.cost import ROIS, multiply_adds
 from smr_gpu_train.model import SmrNet
 
+
 def stored_bytes(model: SmrNet) -> int:
     """Of the tensors in the weight file: matrices in f16, vectors in f32."""
     return sum(t.numel() * t.element_size() for t in weightfile.stored(model).values())

@@ -23,11 +23,11 @@ export SMR_GPU
 if [ ! -x "$work/bin/python" ]; then
     python3 -m venv "$work"
 fi
-"$work/bin/pip" install --quiet --editable '.[convert,onnx,reference,check]'
+"$work/bin/pip" install --quiet --editable '.[convert,onnx,experiments,reference,check]'
 python=$work/bin/python
 started=$SECONDS
 "$work/bin/mypy" smr_gpu_train
-for test in labels pictures model parts pool other_renderers convert onnx fit guide; do
+for test in labels pictures model parts pool other_renderers convert onnx fit guide experiments; do
     echo "== $test"
     "$python" "tests/test_$test.py"
 done

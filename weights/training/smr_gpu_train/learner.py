@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -51,10 +52,10 @@ def measure_statistics(model: SmrNet, pool: Pool, area: int, seed: int, steps: i
 class Learner:
     """A network, its running average and its optimiser."""
 
-    def __init__(self, config: Config, device: str, weight_decay: float):
+    def __init__(self, config: Config, device: str, weight_decay: float, make: Callable[[Config], SmrNet] = SmrNet):
         self.config = config
-        self.model = SmrNet(config).to(device).to(memory_format=torch.channels_last)
-        self.ema = SmrNet(config).to(device).to(memory_format=torch.channels_last).eval()
+        self.model = make(config).to(device).to(memory_format=torch.channels_last)
+        self.ema = make(config).to(device).to(memory_format=torch.channels_last).eval()
         self.ema.load_state_dict(self.model.state_dict())
         parameters = [*self.model.parameters()]
         decay, plain = [p for p in parameters if p.ndim > 1], [p for p in parameters if p.ndim <= 1]

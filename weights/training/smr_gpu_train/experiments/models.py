@@ -1,0 +1,148 @@
+"""The networks behind one contract: `losses` of a batch of views with their truth, `find` of a picture.
+
+All begin with random weights: there is no ImageNet file here, for any of them.
+"""
+
+from collections.abc import Callable
+from functools import partial
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+from torchvision import models as tv
+from torchvision import ops
+
+from .. import boxes as bx
+from ..config import ANCHOR_RATIOS, ANCHOR_SIZES, NETWORKS, Config, Variant
+from ..data import network_input, normalise
+from ..losses import detection_losses, roi_loss, sample_rois
+from ..model import Cbam, Heads, RoiHead, Rpn, SmrNet, autocast, classify
+from ..pictures import Entry
+from ..truth import Truth
+from .plan import Row
+
+SCALE_PER_MM = 8.0
+HEAD = 1024  # torchvision's width of the head's two layers; the original's 4096 would have three quarters of all weights
+Proposals = tuple[Tensor, Tensor]  # boxes [B, P, 4], and which of them there are
+
+
+class Ablated(SmrNet):
+    """SMR-Net with what a weight file has no switch for."""
+
+    def __init__(self, config: Config, dilation: bool, every_block: bool):
+        super().__init__(config)
+        if not dilation and config.variant.msff:
+            for conv in (m for m in self.fusion.modules() if isinstance(m, nn.Conv2d) and m.dilation == (2, 2)):
+                conv.dilation = conv.padding = (1, 1)
+        if every_block:
+            # The stage's own CBAM follows its last block.
+            for i, channels in enumerate(config.channels, start=1):
+                blocks = getattr(self.backbone, f"layer{i}", ())
+                attended = [nn.Sequential(block, Cbam(channels, config.reduction)) for block in blocks[:-1]] + [*blocks[-1:]]
+                if attended:
+                    setattr(self.backbone, f"layer{i}", nn.Sequential(*attended))
+
+
+class Faster(SmrNet):
+    """Faster R-CNN (Ren et al. 2015) on conv5_3 of VGG-16 or conv4_x of ResNet-34, stride 16 both.
+
+    Backbones are torchvision's, VGG-16 with batch norm, without which it hardly learns from random weights. Anchors, input,
+    losses, RoIAlign, the two layers of the head and what follows them are SMR-Net's; the RPN has its own 3 x 3 here.
+    """
+
+    def __init__(self, config: Config, backbone: str):
+        nn.Module.__init__(self)  # of SmrNet what it does, not what it is made of
+        self.config = config
+        self.cells = bx.cell_anchors(config.anchor_sizes, config.anchor_ratios)
+        if backbone == "vgg16":
+            self.body = tv.vgg16_bn(weights=None).features[:-1]
+        else:
+            net = tv.resnet34(weights=None, zero_init_residual=True)
+            self.body = nn.Sequential(net.conv1, net.bn1, net.relu, net.maxpool, net.layer1, net.layer2, net.layer3)
+        self.conv = nn.Conv2d(config.width, config.width, 3, padding=1)
+        nn.init.kaiming_normal_(self.conv.weight, nonlinearity="relu")
+        self.rpn = Rpn(config.width, len(self.cells))
+        self.roi_head = RoiHead(config)
+
+    def features(self, images: Tensor, stages: dict, scales: int = 3) -> Tensor:
+        fused: Tensor = self.body(images)
+        stages["fusion.fused"] = fused
+        return fused
+
+    def rpn_heads(self, fused: Tensor, stages: dict) -> tuple[Tensor, Tensor, Tensor]:
+        return super().rpn_heads(F.relu(self.conv(fused)), stages)
+
+
+class Fast(Faster):
+    """Fast R-CNN (Girshick 2015): the same without an RPN; its regions come from outside."""
+
+    def __init__(self, config: Config, backbone: str):
+        super().__init__(config, backbone)
+        del self.rpn, self.conv
+
+    def rpn_heads(self, fused: Tensor, stages: dict) -> tuple[Tensor, Tensor, Tensor]:
+        raise NotImplementedError("Fast R-CNN has no RPN")
+
+    def losses(self, images: Tensor, truth: Truth, proposals: Proposals) -> dict[str, Tensor]:
+        with autocast(images.device.type):
+            fused = self.features(images, {})
+        rois = sample_rois(*proposals, truth)
+        with autocast(images.device.type):
+            heads = self.roi_head(bx.roi_align_dense(fused, rois.boxes, 1 / self.config.stride), {})
+        classification, box = roi_loss(Heads(heads.scores.float(), heads.regression.float(), None), rois.flat())
+        return {"class": classification, "roi_box": box}
+
+    def heads_of(self, images: Tensor, boxes: Tensor) -> Heads:
+        """Of one normalised picture [1, 3, H, W] and its regions [P, 4]."""
+        pooled = ops.roi_align(self.features(images, {}), [boxes], 7, 1 / self.config.stride, sampling_ratio=2, aligned=True)
+        heads: Heads = self.roi_head(pooled, {})
+        return heads
+
+
+def configuration(row: Row, network: str, mean: list[float], std: list[float], pose: bool) -> Config:
+    """Anchors, input scale, mean and deviation are all networks'."""
+    own = dict(pixels_per_mm=SCALE_PER_MM, mean=mean, std=std, anchor_sizes=ANCHOR_SIZES, anchor_ratios=ANCHOR_RATIOS)
+    if row.model == "smr":
+        return Config(**own, variant=Variant(row.safe, row.msff, row.rw), pose=pose, **NETWORKS[network])  # type: ignore[arg-type]
+    # Without MSFF-Net stride and width are those of the third stage.
+    channels = [64, 128, 512, 512] if row.backbone == "vgg16" else [64, 128, 256, 512]
+    return Config(**own, variant=Variant(False, False, False), channels=channels, head=HEAD)  # type: ignore[arg-type]
+
+
+def maker(row: Row) -> Callable[[Config], SmrNet]:
+    if row.model == "faster":
+        return partial(Faster, backbone=row.backbone)
+    if row.model == "fast":
+        return partial(Fast, backbone=row.backbone)
+    return SmrNet if row.paper_switches_alone else partial(Ablated, dilation=row.dilation, every_block=row.every_block)
+
+
+def losses(model: SmrNet, images: Tensor, truth: Truth, proposals: Proposals | None) -> dict[str, Tensor]:
+    """The weighted losses of a batch of normalised views."""
+    if isinstance(model, Fast):
+        assert proposals is not None
+        return model.losses(images, truth, proposals)
+    return detection_losses(model, images, truth)
+
+
+@torch.no_grad()
+def find(model: SmrNet, entry: Entry, device: str, proposals: Tensor | None = None, scale: float = 1.0) -> dict[str, Tensor]:
+    """Detections of a picture, best first, down to a score of 0.05, boxes in pixels of its gel; `proposals` [P, 4] are shares of its sides, `scale` is beside the scale that the network has learnt."""
+    config = model.config
+    pixels, (x, y) = network_input(entry.pixels(), config.pixels_per_mm * entry.mm_per_pixel * scale)
+    image = normalise(pixels, config.mean, config.std)[None].to(device, memory_format=torch.channels_last)
+    if isinstance(model, Fast):
+        assert proposals is not None
+        height, width = entry.size
+        boxes = proposals.to(device, torch.float32) * torch.tensor([width / x, height / y] * 2, device=device)
+        result = classify(config, model.heads_of(image, boxes), boxes, image.shape[2:], 0.05, 0.5)
+    else:
+        result = model.detect(image)[0]
+    found = {name: result[name].cpu() for name in ("boxes", "scores", "labels")}
+    found["boxes"] = found["boxes"] * torch.tensor([x, y, x, y])
+    return found
+
+
+def truth_of(entry: Entry) -> dict:
+    """What a picture shows, as metrics.py reads it."""
+    return {"boxes": torch.from_numpy(entry.snaps.boxes), "labels": torch.from_numpy(entry.snaps.labels), "mm_per_pixel": entry.mm_per_pixel}

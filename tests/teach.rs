@@ -115,6 +115,7 @@ fn what_is_taught_is_written_with_a_report() {
     let user = User::new();
     let ran = user.teach(&["A", "B"]).expect(0);
     assert!(ran.stderr.contains("8 simulated pictures of A, B"), "{}", ran.stderr);
+    assert!(ran.stderr.contains("snaps: A "), "{}", ran.stderr);
     assert!(ran.stderr.contains("4 steps of training take about 2 minutes (cpu, 2 threads)"));
     assert!(ran.stdout.contains("new.safetensors: done"), "{}", ran.stdout);
     // The stand-in gives back what it began with, the small network.
@@ -152,7 +153,12 @@ fn what_would_be_is_said_and_nothing_done() {
     assert!(ran.stderr.contains("all together about"), "{}", ran.stderr);
     assert_eq!(user.calls().len(), 1);
     assert!(!user.at("new.safetensors").exists());
-    assert!(!user.at("new.teach/run").exists() && !user.at("new.teach/test").exists());
+    let left = fs::read_dir(user.at("new.teach")).expect("a folder");
+    let mut left: Vec<_> = left.map(|entry| entry.expect("a file").file_name()).collect();
+    left.sort();
+    assert_eq!(left, [".teach.lock", "parts.png", "training.log"]);
+    // Nothing was begun: another part may be meant.
+    user.teach(&["B", "--estimate"]).expect(0);
 }
 
 #[test]

@@ -11,8 +11,13 @@ use super::relief::{Relief, Symmetry};
 pub const DEEPEST_MM: f64 = 1.6;
 /// Shallowest press: less hardly shows.
 const SHALLOWEST_MM: f64 = 0.25;
-/// How much deeper a press goes than the part's lower faces, in millimetres.
-const PAST_MM: f64 = 0.8;
+/// How much deeper most presses go than where half of the part touches, in millimetres.
+const PAST_MM: [f64; 2] = [0.1, 0.8];
+/// Share of the presses that are shallower.
+const SHALLOW: f64 = 0.08;
+/// Of wide pictures the share of faint presses, and their depths in millimetres.
+const FAINT: f64 = 0.25;
+const FAINT_MM: [f64; 2] = [0.3, 0.8];
 /// Share of the seen height that the part without its top lacks.
 const TOP: f64 = 1.0 / 3.0;
 
@@ -45,11 +50,25 @@ impl OwnPart {
         (self.symmetry == Symmetry::None).then_some(yaw_deg)
     }
 
-    /// Draws how deep the highest point goes into the gel, in millimetres: from what hardly shows to past the
-    /// part's lower faces, as far as presses go.
+    /// Draws how deep the highest point goes into the gel, in millimetres: as of A and B, mostly so deep that the
+    /// part's lower faces touch too, as far as presses go.
     pub fn sample_depth(&self, rng: &mut Pcg64) -> f64 {
-        let most = (self.relief.depth_mm(DEEPEST_MM) + PAST_MM).min(DEEPEST_MM);
-        rng.random_range(SHALLOWEST_MM..most)
+        let half = self.relief.half_contact_mm(DEEPEST_MM);
+        let [low, high] = PAST_MM.map(|past| (half + past).min(DEEPEST_MM));
+        // Of a part whose faces are that far apart the deepest presses.
+        let low = low.min(DEEPEST_MM - PAST_MM[1] / 2.0).max(SHALLOWEST_MM);
+        match rng.random_bool(SHALLOW) && low > SHALLOWEST_MM {
+            true => rng.random_range(SHALLOWEST_MM..low),
+            false => rng.random_range(low..high),
+        }
+    }
+
+    /// Draws the depth of a wide picture's press: a quarter are faint.
+    pub fn sample_wide_depth(&self, rng: &mut Pcg64) -> f64 {
+        match rng.random_bool(FAINT) {
+            true => rng.random_range(FAINT_MM[0]..FAINT_MM[1]),
+            false => self.sample_depth(rng),
+        }
     }
 
     /// What is easily taken for the part, by name: `block`, a plain one of its outline, `cut`, the part without
@@ -65,5 +84,54 @@ impl OwnPart {
         .map(|(what, other)| {
             (what, Some(other).filter(|other| !other.looks_like(relief, DEEPEST_MM)))
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::super::mesh::{Mesh, Triangle, Unit};
+    use super::super::relief::View;
+    use super::*;
+
+    /// A block of half this size with its upper side at this height.
+    fn block([x, y]: [f32; 2], top: f32) -> Vec<Triangle> {
+        let corner = |at: usize| {
+            let side = |bit: usize, half: f32| if at >> bit & 1 == 1 { half } else { -half };
+            [side(0, x), side(1, y), if at >> 2 & 1 == 1 { top } else { -3.0 }]
+        };
+        let faces =
+            [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let halves = faces.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]);
+        halves.map(|triangle| triangle.map(corner)).collect()
+    }
+
+    fn part(triangles: Vec<Triangle>) -> Arc<OwnPart> {
+        let mesh = Mesh::new(triangles, Unit::Mm).expect("a mesh");
+        OwnPart::new("part".to_owned(), Relief::of_mesh(&mesh, View::default()).expect("a part").0)
+    }
+
+    #[test]
+    fn most_presses_touch_the_lower_faces_too() {
+        // A plate of 8 × 6 mm, 0.6 mm below a ridge of 2 × 6 mm: three quarters of the part.
+        let ridge = part([block([4.0, 3.0], 0.0), block([1.0, 3.0], 0.6)].concat());
+        assert!((ridge.relief.half_contact_mm(DEEPEST_MM) - 0.6).abs() < 1e-6);
+        // Nothing but the ridge is seen by a press of half a millimetre.
+        assert_eq!(ridge.relief.half_contact_mm(0.5), 0.0);
+        let flat = part(block([4.0, 3.0], 0.0));
+        // The plate lies deeper than any press.
+        let tower = part([block([4.0, 3.0], -2.0), block([1.0, 3.0], 0.6)].concat());
+        let rng = &mut Pcg64::seed_from_u64(1);
+        for (part, low, high) in [(&ridge, 0.7, 1.4), (&flat, 0.25, 0.8), (&tower, 0.25, 0.8)] {
+            let depths: Vec<f64> = (0..1000).map(|_| part.sample_depth(rng)).collect();
+            assert!(depths.iter().all(|depth| (SHALLOWEST_MM..high).contains(depth)));
+            let shallow = depths.iter().filter(|depth| **depth < low).count();
+            // Eight in a hundred, with a deviation of 0.9.
+            let expected = if low > SHALLOWEST_MM { 45..115 } else { 0..1 };
+            assert!(expected.contains(&shallow), "{shallow} below {low}");
+            let faint = (0..1000).filter(|_| part.sample_wide_depth(rng) < 0.8).count();
+            assert!(faint >= 200, "{faint}");
+        }
     }
 }

@@ -404,7 +404,7 @@ impl Snap {
         let low = rng.random_range(0.3..0.8);
         let grazing = rng.random_bool(0.75);
         match self {
-            Self::Own(part) => part.sample_depth(rng),
+            Self::Own(part) => part.sample_wide_depth(rng),
             Self::Hook(Hook { on_side: None, undercut, .. }) if faint => {
                 if grazing {
                     *undercut = undercut.min(low - rng.random_range(0.05..0.15));

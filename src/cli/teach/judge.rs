@@ -10,11 +10,10 @@ use smr_gpu::{Config, GpuDetector, Savings, WeightSource};
 
 use super::super::detector::{self, Assumed};
 use super::super::eval::{self, Labelled, Stated};
-use super::super::exit::{Exit, Failure};
-use super::super::names::shown;
+use super::super::exit::Failure;
 use super::super::output::folder_name;
 use super::plan::Role;
-use super::{MAX_ASKED, Teaching, bar};
+use super::{MAX_ASKED, Teaching, bar, unreadable};
 
 /// Score above which a box counts, as `detect` has it.
 pub(super) const COUNTS_ABOVE: f32 = 0.5;
@@ -116,10 +115,7 @@ struct HeldOut {
 /// The files that a run of `fit --split` did not learn from.
 fn held_out(run: &Path) -> Result<HashSet<PathBuf>, Failure> {
     let file = run.join("split.json");
-    let failed = |e: &dyn std::fmt::Display| {
-        Failure::new(Exit::Inputs, format!("{}: {e}", shown(file.as_os_str())))
-    };
-    let bytes = files::read(&file, MAX_ASKED << 8).map_err(|e| failed(&e))?;
-    let split: Split = serde_json::from_slice(&bytes).map_err(|e| failed(&e))?;
+    let bytes = files::read(&file, MAX_ASKED << 8).map_err(|e| unreadable(&file, &e))?;
+    let split: Split = serde_json::from_slice(&bytes).map_err(|e| unreadable(&file, &e))?;
     Ok(split.held_out.iter().filter_map(|row| row.file.canonicalize().ok()).collect())
 }

@@ -27,6 +27,7 @@ use smr_gpu::simulator::scene::Own;
 use smr_gpu::smr::Catalog;
 
 use super::detector::exact_fraction;
+use super::eval;
 use super::exit::{Exit, Failure};
 use super::message::tell;
 use super::names::shown;
@@ -176,7 +177,8 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             return Err(Failure::new(Exit::Output, format!("{work}: another run works there")));
         }
     };
-    as_begun(&args, &work)?;
+    let asked = Asked::of(&args);
+    asked.as_begun(&work)?;
     python::stop_in_order();
 
     let plan = Plan {
@@ -198,6 +200,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     if args.estimate {
         return Ok(Exit::Done);
     }
+    asked.begin(&teaching.work)?;
     teaching.simulate()?;
     let trained = teaching.train()?;
     let calibrated = teaching.calibrate(&trained)?;
@@ -210,49 +213,63 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// Keeps what is asked for in the work folder, or holds it to what was begun there.
-fn as_begun(args: &Args, work: &Path) -> Result<(), Failure> {
-    let asked = Asked {
-        parts: args.part.iter().map(PartArg::to_string).collect(),
-        negatives: args.negative.iter().map(|file| shown(file.as_os_str())).collect(),
-        data: args.data.clone(),
-        data_share: args.data_share,
-        sensor: args.sensor.clone(),
-        network: args.network.clone(),
-        pictures: args.pictures,
-        steps: args.steps,
-        test: args.test,
-        seed: args.seed,
-    };
-    let file = work.join("teach.json");
-    let failed = |e: &dyn std::fmt::Display| {
-        Failure::new(Exit::Output, format!("{}: {e}", shown(file.as_os_str())))
-    };
-    let now = serde_json::to_value(&asked).map_err(|e| failed(&e))?;
-    let begun: serde_json::Value = match files::read(&file, MAX_ASKED) {
-        Ok(bytes) => serde_json::from_slice(&bytes).map_err(|e| failed(&e))?,
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
-            let text = serde_json::to_vec_pretty(&asked).map_err(|e| failed(&e))?;
-            return Ok(files::write(&file, &text)?);
+impl Asked {
+    /// Its file in the work folder.
+    const FILE: &str = "teach.json";
+
+    fn of(args: &Args) -> Self {
+        Self {
+            parts: args.part.iter().map(PartArg::to_string).collect(),
+            negatives: args.negative.iter().map(|file| shown(file.as_os_str())).collect(),
+            data: args.data.clone(),
+            data_share: args.data_share,
+            sensor: args.sensor.clone(),
+            network: args.network.clone(),
+            pictures: args.pictures,
+            steps: args.steps,
+            test: args.test,
+            seed: args.seed,
         }
-        Err(e) => return Err(failed(&e)),
-    };
-    let differs = now.as_object().into_iter().flatten().find(|(key, value)| begun[*key] != **value);
-    match differs {
-        None => Ok(()),
-        Some((key, value)) => Err(Failure::usage(format!(
-            "{}: begun with {key} {}, got {value}: give the same, or another --work",
-            shown(work.as_os_str()),
-            begun[key]
-        ))),
     }
+
+    /// Keeps it in the work folder.
+    fn begin(&self, work: &Path) -> Result<(), Failure> {
+        let file = work.join(Self::FILE);
+        let text = serde_json::to_vec_pretty(self).map_err(|e| unreadable(&file, &e))?;
+        Ok(files::write(&file, &text)?)
+    }
+
+    /// Holds it to what was begun in the work folder, if anything was.
+    fn as_begun(&self, work: &Path) -> Result<(), Failure> {
+        let file = work.join(Self::FILE);
+        let begun: serde_json::Value = match files::read(&file, MAX_ASKED) {
+            Ok(bytes) => serde_json::from_slice(&bytes).map_err(|e| unreadable(&file, &e))?,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+            Err(e) => return Err(unreadable(&file, &e)),
+        };
+        let now = serde_json::to_value(self).map_err(|e| unreadable(&file, &e))?;
+        let differs =
+            now.as_object().into_iter().flatten().find(|(key, value)| begun[*key] != **value);
+        match differs {
+            None => Ok(()),
+            Some((key, value)) => Err(Failure::usage(format!(
+                "{}: begun with {key} {}, got {value}: give the same, or another --work",
+                shown(work.as_os_str()),
+                begun[key]
+            ))),
+        }
+    }
+}
+
+/// A file of the work folder that is not what it should be.
+fn unreadable(file: &Path, why: &dyn std::fmt::Display) -> Failure {
+    Failure::new(Exit::Inputs, format!("{}: {why}", shown(file.as_os_str())))
 }
 
 const MAX_ASKED: u64 = 1 << 20;
 
 fn read(file: &Path) -> Result<Vec<u8>, Failure> {
-    files::read(file, smr_gpu::smr::MAX_FILE)
-        .map_err(|e| Failure::new(Exit::Inputs, format!("{}: {e}", shown(file.as_os_str()))))
+    files::read(file, smr_gpu::smr::MAX_FILE).map_err(|e| unreadable(file, &e))
 }
 
 /// What is taught, and with what.
@@ -275,31 +292,12 @@ impl Teaching<'_> {
         if std::fs::exists(self.run_folder().join("run.json")).unwrap_or(false) {
             return Ok(());
         }
-        let mut seconds_per_picture = 0.0;
-        let mut simulated = 0;
-        if let Some(first) = self.sets.first() {
-            // A few of the first set's, which stay.
-            let pilot =
-                Settings { count: PILOT.min(first.settings.count), ..first.settings.clone() };
-            let began = Instant::now();
-            let done = dataset::simulate(&pilot, &|_| {}).map_err(failure)?;
-            if done.rendered > 0 {
-                seconds_per_picture = began.elapsed().as_secs_f64() / done.rendered as f64;
-                simulated =
-                    self.sets.iter().map(|set| set.settings.count).sum::<usize>() - done.rendered;
-            }
-        }
-        let mut arguments = self.fit_arguments(&self.sets[..self.sets.len().min(1)])?;
-        arguments.push("--estimate".to_owned());
-        // Its cache is none of the run's.
+        // What an earlier estimate left may be of other parts; what cannot be removed takes some room and no more.
         let scratch = self.work.join("estimate");
-        if let Some(at) = arguments.iter().position(|argument| argument == "--out") {
-            arguments[at + 1] = shown(scratch.as_os_str());
-        }
-        let said = self.python.run(&arguments, &mut || {});
-        // What cannot be removed takes some room and no more.
         let _ = std::fs::remove_dir_all(&scratch);
-        let said = said?;
+        let estimated = self.estimate(&scratch);
+        let _ = std::fs::remove_dir_all(&scratch);
+        let (seconds_per_picture, said) = estimated?;
         let last = said.trim().lines().last().unwrap_or("");
         let estimate: Estimate = serde_json::from_str(last).map_err(|e| {
             Failure::new(Exit::Inputs, format!("training: expected an estimate, got {last}: {e}"))
@@ -310,19 +308,18 @@ impl Teaching<'_> {
             let (all, none) = (estimate.pictures, estimate.without_snap);
             tell(format!("{}, {none} of them without a snap; {snaps}", count(all, "picture")));
         }
-        let names = self.own.classes.iter().map(|kind| kind.name().to_owned());
-        let look = self.sets.iter().filter(|set| !matches!(set.role, Role::Train));
+        let simulated: usize = self.sets.iter().map(|set| set.settings.count).sum();
+        let look = self.sets.iter().filter(|set| matches!(set.role, Role::Test | Role::Negative));
         let look = look.map(|set| set.settings.count).sum::<usize>() as f64 * LOOK_SECONDS;
         let simulating = seconds_per_picture * simulated as f64;
         let training = estimate.seconds_per_step * f64::from(self.args.steps);
         let duration = |seconds: f64| HumanDuration(Duration::from_secs_f64(seconds.max(0.0)));
         if !self.sets.is_empty() {
+            let names = self.own.classes.iter().map(|kind| kind.name().to_owned());
             let names = names.collect::<Vec<_>>().join(", ");
             let pictures = count(self.args.pictures as usize, "simulated picture");
             tell(format!("{pictures} of {names} to learn from"));
-            if simulated > 0 {
-                tell(format!("simulating takes about {}", duration(simulating)));
-            }
+            tell(format!("simulating takes about {}", duration(simulating)));
         }
         let Estimate { device, threads, .. } = &estimate;
         let on = format!("{device}, {}", count(*threads, "thread"));
@@ -330,6 +327,27 @@ impl Teaching<'_> {
         tell(format!("{steps} of training take about {} ({on})", duration(training)));
         tell(format!("all together about {}", duration(simulating + training + look)));
         Ok(())
+    }
+
+    /// Seconds that it takes to simulate a picture, and what training says of a few steps: on the labelled pictures,
+    /// or else on some that are simulated for it.
+    fn estimate(&self, scratch: &Path) -> Result<(f64, String), Failure> {
+        let mut seconds = 0.0;
+        let pilot = self.sets.first().map(|first| {
+            let (count, out) = (PILOT.min(first.settings.count), scratch.join("pictures"));
+            let settings = Settings { count, out, ..first.settings.clone() };
+            Set { role: Role::Train, name: first.name.clone(), settings }
+        });
+        if let Some(pilot) = &pilot {
+            let began = Instant::now();
+            dataset::simulate(&pilot.settings, &|_| {}).map_err(failure)?;
+            seconds = began.elapsed().as_secs_f64() / pilot.settings.count as f64;
+        }
+        let sets = pilot.as_slice();
+        let sets = if self.args.data.is_empty() { sets } else { &[] };
+        let mut arguments = self.fit_arguments(sets, scratch)?;
+        arguments.push("--estimate".to_owned());
+        Ok((seconds, self.python.run(&arguments, &mut || {})?))
     }
 
     /// Simulates what is missing of the sets.
@@ -350,7 +368,30 @@ impl Teaching<'_> {
             before += set.settings.count;
         }
         bar.finish_and_clear();
+        if !self.sets.is_empty() && python::weights_of(&self.run_folder()).is_none() {
+            tell(self.counted()?);
+        }
         Ok(())
+    }
+
+    /// What there is to learn from of the simulated pictures, in words.
+    fn counted(&self) -> Result<String, Failure> {
+        let classes: Vec<String> =
+            self.own.classes.iter().map(|kind| kind.name().to_owned()).collect();
+        let (mut pictures, mut bare, mut snaps) = (0, 0, vec![0; classes.len()]);
+        for folder in plan::folders(&self.sets, Role::Train) {
+            for labelled in eval::read_labels(&folder, &classes, &mut Outputs::default())? {
+                let labels = &labelled.picture.labels;
+                pictures += 1;
+                bare += usize::from(labels.is_empty());
+                labels.iter().for_each(|label| snaps[label.category] += 1);
+            }
+        }
+        let of_class = classes.iter().zip(&snaps).map(|(class, n)| format!("{class} {n}"));
+        let of_class = of_class.collect::<Vec<_>>().join(", ");
+        let (pictures, all) = (count(pictures, "simulated picture"), snaps.iter().sum());
+        let all = count(all, "snap");
+        Ok(format!("{pictures}, {bare} of them without a snap; {all}: {of_class}"))
     }
 
     /// The network to begin with, as a file.
@@ -365,8 +406,8 @@ impl Teaching<'_> {
         Ok(file)
     }
 
-    /// The arguments of `fit` on these sets and the labelled pictures.
-    fn fit_arguments(&self, sets: &[Set]) -> Result<Vec<String>, Failure> {
+    /// The arguments of `fit` on these sets and the labelled pictures, into a folder.
+    fn fit_arguments(&self, sets: &[Set], out: &Path) -> Result<Vec<String>, Failure> {
         let text = |path: &Path| {
             path.to_str().map(str::to_owned).ok_or_else(|| {
                 let path = shown(path.as_os_str());
@@ -376,7 +417,7 @@ impl Teaching<'_> {
         let texts =
             |paths: &[PathBuf]| paths.iter().map(|path| text(path)).collect::<Result<Vec<_>, _>>();
         let simulated = texts(&plan::folders(sets, Role::Train))?;
-        let calibration: Vec<PathBuf> = plan::folders(&self.sets, Role::Calibrate);
+        let calibration: Vec<PathBuf> = plan::folders(sets, Role::Calibrate);
         let own = texts(&self.args.data)?;
         let mut arguments = vec!["fit".to_owned(), "--data".to_owned()];
         match (own.is_empty(), simulated.is_empty()) {
@@ -393,15 +434,14 @@ impl Teaching<'_> {
         if !self.args.data.is_empty() {
             arguments.extend(["--split", HELD_OUT].map(str::to_owned));
         }
-        // An estimate is made before there are any.
-        if sets.len() == self.sets.len() && !calibration.is_empty() {
+        if !calibration.is_empty() {
             arguments.push("--val".to_owned());
             arguments.extend(texts(&calibration)?);
         }
         if let Some(sensor) = &self.args.sensor {
             arguments.extend(["--sensor".to_owned(), sensor.clone()]);
         }
-        let (begin, out) = (text(&self.begin_with()?)?, text(&self.run_folder())?);
+        let (begin, out) = (text(&self.begin_with()?)?, text(out)?);
         let (steps, seed) = (self.args.steps.to_string(), self.args.seed.to_string());
         let more = [
             ["--init", &begin],
@@ -426,7 +466,7 @@ impl Teaching<'_> {
                 let out = shown(run.as_os_str());
                 ["fit", "--resume", "--out", &out].map(str::to_owned).to_vec()
             }
-            _ => self.fit_arguments(&self.sets)?,
+            _ => self.fit_arguments(&self.sets, &run)?,
         };
         let bar = bar(self.args.steps.into(), "training {bar:40} {pos}/{len} steps{msg}")?;
         let look = &mut || {

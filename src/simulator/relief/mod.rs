@@ -469,6 +469,18 @@ impl Relief {
         seen.fold(0.0, f64::max)
     }
 
+    /// Least depth in millimetres at which a press touches half of the cells that one of `most_mm` touches.
+    pub fn half_contact_mm(&self, most_mm: f64) -> f64 {
+        let depths = self.heights.iter().map(|h| -h).filter(|depth| f64::from(*depth) <= most_mm);
+        let mut depths: Vec<f32> = depths.collect();
+        let middle = depths.len() / 2;
+        // The highest cell is seen.
+        match depths.get(middle) {
+            Some(_) => f64::from(*depths.select_nth_unstable_by(middle, f32::total_cmp).1),
+            None => 0.0,
+        }
+    }
+
     /// A number that tells shapes apart.
     pub fn digest(&self) -> u64 {
         let size = self.cells.iter().flat_map(|n| (*n as u64).to_le_bytes());

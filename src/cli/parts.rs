@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use smr_gpu::simulator::Error;
 use smr_gpu::simulator::mesh::{Mesh, Unit};
-use smr_gpu::simulator::own_part::OwnPart;
+use smr_gpu::simulator::own_part::{Derived, OwnPart};
 use smr_gpu::simulator::relief::{self, Direction, Relief, Symmetry, View};
 use smr_gpu::simulator::scene::{Negative, NegativeShape, Own};
 use smr_gpu::simulator::snaps::Kind;
@@ -191,10 +191,12 @@ pub(super) fn own(parts: &[PartArg], negatives: &[PathBuf], cad: &CadArgs) -> Re
             PartArg::Own { name, file } => {
                 let part = OwnPart::new(name.clone(), read(file, cad)?);
                 tell(described(&part));
-                for (what, negative) in part.negatives() {
+                for Derived { what, weight, relief } in part.negatives() {
                     let name = format!("{name}-{what}");
-                    match negative {
-                        Some(relief) => own.negatives.push(Negative::of(name, relief)),
+                    match relief {
+                        Some(relief) => {
+                            own.negatives.push(Negative { weight, ..Negative::of(name, relief) });
+                        }
                         None => tell(format!("{name} looks like the part, and is left out")),
                     }
                 }
@@ -209,7 +211,7 @@ pub(super) fn own(parts: &[PartArg], negatives: &[PathBuf], cad: &CadArgs) -> Re
     for kind in [Kind::A, Kind::B] {
         if !own.classes.is_empty() && !own.classes.contains(&kind) {
             let (name, shape) = (kind.name().to_owned(), NegativeShape::Snap(kind));
-            own.negatives.push(Negative { name, shape });
+            own.negatives.push(Negative { name, shape, weight: 1 });
         }
     }
     Ok(own)

@@ -75,7 +75,7 @@ pub(super) struct Args {
     /// A class of snaps of your own, several times for several: its name, and its part from a CAD file (STL,
     /// OBJ) or a height map (PNG of 16 bits). `A` and `B` may be among them, which else they replace. What is
     /// easily taken for a part is drawn too, without a label: its outline as a plain block, the part without
-    /// its top third, and its mirror image. Or FILE is JSON that names the part's `file`, from its own folder, and
+    /// its tip, and its mirror image. Or FILE is JSON that names the part's `file`, from its own folder, and
     /// of `axis`, `up`, `unit`, `map_pixel` and `map_height` what is other than the options say.
     #[arg(long, value_name = "NAME=FILE|A|B", value_parser = part)]
     part: Vec<PartArg>,

@@ -18,8 +18,10 @@ const SHALLOW: f64 = 0.08;
 /// Of wide pictures the share of faint presses, and their depths in millimetres.
 const FAINT: f64 = 0.25;
 const FAINT_MM: [f64; 2] = [0.3, 0.8];
-/// Share of the seen height that the part without its top lacks.
-const TOP: f64 = 1.0 / 3.0;
+/// Share of its length that the part without its tip lacks.
+const TIP: f64 = 1.0 / 3.0;
+/// How often that is drawn beside each other negative: it is the one that is hardest to tell from the part.
+const CUT_WEIGHT: u32 = 3;
 
 /// A class of snaps that is a height field.
 #[derive(Debug, PartialEq)]
@@ -30,6 +32,21 @@ pub struct OwnPart {
     pub relief: Relief,
     /// After which turns it looks the same in the deepest press.
     pub symmetry: Symmetry,
+}
+
+/// A shape that is easily taken for a part.
+#[derive(Debug, PartialEq)]
+pub struct Derived {
+    /// `block`, a plain one of the part's outline; `cut`, the part without the third that its zero points to,
+    /// as one that has broken; or `mirror`, its mirror image.
+    ///
+    /// A part whose top is cut off flat is none of them: pressed less deep it touches the gel where the part does, and
+    /// no more than the steps' heights tell them apart.
+    pub what: &'static str,
+    /// How often it is drawn beside 1 of others.
+    pub weight: u32,
+    /// `None` where it looks like the part itself, in the deepest press.
+    pub relief: Option<Relief>,
 }
 
 impl OwnPart {
@@ -56,7 +73,7 @@ impl OwnPart {
         let half = self.relief.half_contact_mm(DEEPEST_MM);
         let [low, high] = PAST_MM.map(|past| (half + past).min(DEEPEST_MM));
         // Of a part whose faces are that far apart the deepest presses.
-        let low = low.min(DEEPEST_MM - PAST_MM[1] / 2.0).max(SHALLOWEST_MM);
+        let low = low.clamp(SHALLOWEST_MM, DEEPEST_MM - PAST_MM[1] / 2.0);
         match rng.random_bool(SHALLOW) && low > SHALLOWEST_MM {
             true => rng.random_range(SHALLOWEST_MM..low),
             false => rng.random_range(low..high),
@@ -71,18 +88,17 @@ impl OwnPart {
         }
     }
 
-    /// What is easily taken for the part, by name: `block`, a plain one of its outline, `cut`, the part without
-    /// its top third, and `mirror`, its mirror image. `None` in place of a shape that looks like the part itself, in the
-    /// deepest press.
-    pub fn negatives(&self) -> [(&'static str, Option<Relief>); 3] {
+    /// What is easily taken for the part.
+    pub fn negatives(&self) -> [Derived; 3] {
         let relief = &self.relief;
         [
-            ("block", relief.block(DEEPEST_MM)),
-            ("cut", relief.without_top(TOP, DEEPEST_MM)),
-            ("mirror", relief.mirrored()),
+            ("block", 1, relief.block(DEEPEST_MM)),
+            ("cut", CUT_WEIGHT, relief.without_tip(TIP)),
+            ("mirror", 1, relief.mirrored()),
         ]
-        .map(|(what, other)| {
-            (what, Some(other).filter(|other| !other.looks_like(relief, DEEPEST_MM)))
+        .map(|(what, weight, other)| {
+            let relief = Some(other).filter(|other| !other.looks_like(relief, DEEPEST_MM));
+            Derived { what, weight, relief }
         })
     }
 }

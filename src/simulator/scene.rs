@@ -98,6 +98,8 @@ pub struct Negative {
     pub name: String,
     /// Its shape.
     pub shape: NegativeShape,
+    /// How often it is drawn, beside 1 of most others.
+    pub weight: u32,
 }
 
 /// The shape of a [`Negative`].
@@ -112,7 +114,7 @@ pub enum NegativeShape {
 impl Negative {
     /// One and the same shape.
     pub fn of(name: String, relief: Relief) -> Self {
-        Self { name, shape: NegativeShape::Relief(Arc::new(relief)) }
+        Self { name, shape: NegativeShape::Relief(Arc::new(relief)), weight: 1 }
     }
 
     fn sample(&self, rng: &mut Pcg64, snap: impl Fn(&mut Pcg64, &Kind) -> Snap) -> Distractor {
@@ -145,7 +147,8 @@ impl Own {
         if self.negatives.is_empty() || !(self.negatives_alone || rng.random_bool(0.5)) {
             return None;
         }
-        self.negatives.choose(rng).map(|negative| negative.sample(rng, snap))
+        let negative = self.negatives.choose_weighted(rng, |negative| negative.weight).ok()?;
+        Some(negative.sample(rng, snap))
     }
 }
 

@@ -9,8 +9,8 @@ network of weights/ was trained on such pictures, or chosen by them.
 `other_renderers.py --out OUT --count 100 --seed 1`, then `smr-gpu eval --exact --data OUT/*/`
 
 With `--part NAME=MAP.png:MM_PER_PIXEL:MM_AT_WHITE`, a height map as `smr-gpu simulate --part` takes it, classes are
-such parts in place of hooks and studs. What is easily taken for them, a block of the outline and the part without its
-top third, and hooks and studs are then among the other things, and there are no walls.
+such parts in place of hooks and studs. What is easily taken for them, a block of the outline and the part without the
+third that it points to, and hooks and studs are then among the other things, and there are no walls.
 """
 
 import argparse
@@ -142,12 +142,11 @@ class Relief:
         return float(np.hypot(*self.heights.shape)) * self.mm / 2
 
     def look_alikes(self) -> list["Relief"]:
-        """A block of the outline, and the part without its top third, unless they look the same."""
-        seen = np.maximum(self.heights, -DEEPEST_MM)
-        outline = self.heights >= -DEEPEST_MM
-        cut = seen[outline].min() / 3
-        others = [np.where(outline, 0, BESIDE), np.where(self.heights > BESIDE, np.minimum(self.heights, cut) - cut, BESIDE)]
-        return [Relief(other, self.mm) for other in others if abs(np.maximum(other, -DEEPEST_MM) - seen).max() > 0.02]
+        """A block of the outline, unless it looks the same, and the part without the third that its zero points to."""
+        block = np.where(self.heights >= -DEEPEST_MM, 0, BESIDE)
+        same = abs(block - self.heights)[self.heights > -DEEPEST_MM].max() <= 0.02
+        cut = self.heights[:, : max(1, round(self.heights.shape[1] * 2 / 3))]
+        return [Relief(other, self.mm) for other in [*([] if same else [block]), np.where(cut > BESIDE, cut - cut.max(), BESIDE)]]
 
     @staticmethod
     def read(text: str) -> "Relief":

@@ -47,11 +47,11 @@ enum Drawn {
 /// What is learnt from, with its share of the pictures. A third of the wide ones show no snap, and those of sets
 /// of nothing else none: without them a network sees its parts everywhere.
 const TRAIN: [(&str, f64, Drawn, Mix); 5] = [
-    ("plain", 0.175, Drawn::Plain, Mix::Mixed),
-    ("wide", 0.5, Drawn::Wide, Mix::Mixed),
+    ("plain", 0.15, Drawn::Plain, Mix::Mixed),
+    ("wide", 0.475, Drawn::Wide, Mix::Mixed),
     ("strong", 0.125, Drawn::Strong, Mix::Mixed),
-    ("plain-none", 0.05, Drawn::Plain, Mix::None),
-    ("wide-none", 0.15, Drawn::Wide, Mix::None),
+    ("plain-none", 0.075, Drawn::Plain, Mix::None),
+    ("wide-none", 0.175, Drawn::Wide, Mix::None),
 ];
 /// What scores and deviations are fitted to: pictures, whatever is learnt from.
 const CALIBRATE: [(&str, usize, Drawn); 2] =
@@ -149,6 +149,7 @@ mod tests {
         let negative = |kind: Kind| Negative {
             name: kind.name().to_owned(),
             shape: NegativeShape::Snap(kind),
+            weight: 1,
         };
         let own =
             Own { classes: vec![Kind::A], negatives: vec![negative(Kind::B)], ..Own::default() };

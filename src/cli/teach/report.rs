@@ -129,7 +129,7 @@ impl Pages<'_> {
         let heads = classes.iter().map(|class| format!(" taken for {} |", cell(class)));
         let mut text = format!(
             "\n## What is taken for a snap\n\nBoxes above 0.5 in pictures without a snap. `NAME-block` is the part's \
-             outline as a plain block, `NAME-cut` the part without its top third, `NAME-mirror` its mirror image.\n\n\
+             outline as a plain block, `NAME-cut` the part without the third that its arrow points to, `NAME-mirror` its mirror image.\n\n\
              | pictures of | pictures | with a false box |{}\n|---|---:|---:|{}\n",
             heads.collect::<String>(),
             "---:|".repeat(classes.len())

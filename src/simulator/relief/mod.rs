@@ -494,14 +494,14 @@ impl Relief {
         Self::of_cells(self.cells, self.spacing_mm, rows.flatten().copied().collect())
     }
 
-    /// The part cut flat at this share of the height that a press of `depth_mm` sees: at a third, the part without
-    /// its top third.
-    pub fn without_top(&self, share: f64, depth_mm: f64) -> Self {
-        let seen =
-            self.heights.iter().filter(|h| h.is_finite()).fold(0.0, |low: f32, &h| low.min(h));
-        let cut = -share.clamp(0.0, 1.0) as f32 * -seen.max(-depth_mm as f32);
-        let heights = self.heights.iter().map(|&h| h.min(cut)).collect();
-        Self::of_cells(self.cells, self.spacing_mm, heights)
+    /// The part without this share of its length, at the end that x points to.
+    pub fn without_tip(&self, share: f64) -> Self {
+        let [width, _] = self.cells;
+        let kept = (width as f64 * (1.0 - share.clamp(0.0, 1.0))).round() as usize;
+        let is_kept = |at: usize| at % width < kept;
+        let heights = self.heights.iter().enumerate();
+        let heights = heights.map(|(at, &h)| if is_kept(at) { h } else { f32::NEG_INFINITY });
+        self.of_some(heights.collect())
     }
 
     /// A plain block of the outline that a press of `depth_mm` sees.
@@ -509,10 +509,15 @@ impl Relief {
         let is_seen = |h: f32| f64::from(h) >= -depth_mm.max(0.0);
         let heights =
             self.heights.iter().map(|&h| if is_seen(h) { 0.0 } else { f32::NEG_INFINITY });
-        // The highest cell is seen.
-        let (cells, heights) = cropped(self.cells, heights.collect())
-            .unwrap_or_else(|| (self.cells, self.heights.clone()));
-        Self::of_cells(cells, self.spacing_mm, heights)
+        self.of_some(heights.collect())
+    }
+
+    /// Of the same cells with these heights, on the smallest grid that has them; itself where there are none.
+    fn of_some(&self, heights: Vec<f32>) -> Self {
+        match cropped(self.cells, heights) {
+            Some((cells, heights)) => Self::of_cells(cells, self.spacing_mm, heights),
+            None => self.clone(),
+        }
     }
 }
 

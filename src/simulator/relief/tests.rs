@@ -332,10 +332,11 @@ fn negatives_are_derived() {
     }));
     let (part, _) = seen([cone, prism(&square(4.0), -9.0, -8.0)].concat());
     assert!((part.height(1.5, 0.0) + 1.5).abs() < 0.02, "{}", part.height(1.5, 0.0));
-    let cut = part.without_top(1.0 / 3.0, 1.5);
-    // Half a millimetre lower, flat within half a millimetre.
-    assert!(cut.height(0.4, 0.0).abs() < 1e-6);
-    assert!((cut.height(1.5, 0.0) - part.height(1.5, 0.0) - 0.5).abs() < 0.02);
+    let cut = part.without_tip(1.0 / 3.0);
+    // Of the plate's 8 mm the first two thirds, about whose middle the cone stands at 4 / 3.
+    assert!((cut.half_size()[0] - 8.0 / 3.0).abs() < 0.02, "{:?}", cut.half_size());
+    assert!(cut.height(4.0 / 3.0, 0.0).abs() < 0.02);
+    assert!((cut.height(4.0 / 3.0 - 1.5, 0.0) + 1.5).abs() < 0.02);
     assert!(!cut.looks_like(&part, 1.5));
     let block = part.block(1.5);
     assert!((block.half_size()[0] - 1.5).abs() < 0.03, "{:?}", block.half_size());
@@ -344,7 +345,8 @@ fn negatives_are_derived() {
     // A flat part keeps its looks.
     let flat = relief(prism(&square(2.0), 0.0, 3.0));
     assert!(flat.block(DEPTH).looks_like(&flat, DEPTH));
-    assert!(flat.without_top(1.0 / 3.0, DEPTH).looks_like(&flat, DEPTH));
+    assert!(!flat.without_tip(1.0 / 3.0).looks_like(&flat, DEPTH));
+    assert_eq!(flat.without_tip(1.0), flat, "something stays");
 }
 
 #[test]

@@ -128,11 +128,13 @@ def test_what_is_easily_taken_for_a_part() -> None:
     block, cut = part.look_alikes()
     rng, at = np.random.default_rng(0), np.array([[3.5, 1], [-3.5, 1], [4.1, 1]])
     assert np.allclose(block(rng, *at.T), [0, 0, BESIDE])
-    assert np.allclose(cut(rng, *at.T), [0, -2 / 3, BESIDE], atol=1e-4)
-    # A block has no other block, and none without its top.
-    assert block.look_alikes() == []
+    # Of 8 mm the first two thirds: the step at the other end is gone, and what was lower is the highest.
+    assert np.allclose(cut(rng, *np.array([[-2.5, 1], [2.5, 1], [2.75, 1]]).T), [0, 0, BESIDE], atol=1e-4)
+    assert cut.heights.shape[1] == round(part.heights.shape[1] * 2 / 3)
+    # A block has no other block.
+    assert len(block.look_alikes()) == 1
     kinds = own({"bracket": part, "block": block}, {"block"})
-    assert hook in kinds.others and stud in kinds.others and len(kinds.others) == 5 + 2 + 2
+    assert hook in kinds.others and stud in kinds.others and len(kinds.others) == 5 + 3 + 2
     assert kinds.directed == {"bracket"}
 
 

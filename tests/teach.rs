@@ -91,7 +91,7 @@ impl User {
 
     fn command(&self, more: &[&str]) -> Command {
         let mut command = program::command(self.0.path());
-        command.args(["teach", "--pictures", "8", "--test", "2", "--steps", "4"]).args(more);
+        command.args(["teach", "--pictures", "5", "--test", "2", "--steps", "4"]).args(more);
         for (option, value) in [("--python", "./python"), ("--out", "new.safetensors")] {
             if !more.contains(&option) {
                 command.args([option, value]);
@@ -114,7 +114,7 @@ fn small() -> Vec<u8> {
 fn what_is_taught_is_written_with_a_report() {
     let user = User::new();
     let ran = user.teach(&["A", "B"]).expect(0);
-    assert!(ran.stderr.contains("8 simulated pictures of A, B"), "{}", ran.stderr);
+    assert!(ran.stderr.contains("5 simulated pictures of A, B"), "{}", ran.stderr);
     assert!(ran.stderr.contains("snaps: A "), "{}", ran.stderr);
     assert!(ran.stderr.contains("4 steps of training take about 2 minutes (cpu, 2 threads)"));
     assert!(ran.stdout.contains("new.safetensors: done"), "{}", ran.stdout);
@@ -197,21 +197,30 @@ fn a_run_that_failed_goes_on() {
 
 #[test]
 fn ctrl_c_ends_the_training_in_order() {
+    // As in a terminal Ctrl-C goes to the whole group; a service's end goes to the program alone.
+    for [signal, to] in [["-INT", "-"], ["-TERM", ""]] {
+        ends_the_training_in_order(signal, to);
+    }
+}
+
+fn ends_the_training_in_order(signal: &str, to: &str) {
     let user = User::new();
     user.write("wait", "");
     let mut command = user.command(&["A"]);
-    // As in a terminal the signal goes to the whole group.
     let mut running = command.process_group(0).spawn().expect("the program");
     let began = Instant::now();
     while !user.at("new.teach/run/waiting").exists() {
         assert!(began.elapsed() < Duration::from_secs(300), "no training");
         std::thread::sleep(Duration::from_millis(20));
     }
-    let group = format!("-{}", running.id());
-    assert!(Command::new("kill").args(["-INT", "--", &group]).status().expect("kill").success());
+    let to = format!("{to}{}", running.id());
+    assert!(Command::new("kill").args([signal, "--", &to]).status().expect("kill").success());
     assert_eq!(running.wait().expect("ended").code(), Some(130));
     assert!(!user.at("new.safetensors").exists());
     fs::remove_file(user.at("wait")).expect("removed");
+    // Its child is gone too, and learns nothing any more.
+    std::thread::sleep(Duration::from_millis(300));
+    assert!(!user.at("new.teach/run/weights.safetensors").exists());
     user.teach(&["A"]).expect(0);
     assert!(user.at("new.safetensors").exists());
 }

@@ -3,8 +3,8 @@
 use std::fs::{self, File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitStatus, Stdio};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread;
 use std::time::Duration;
 
@@ -20,14 +20,14 @@ const PAUSE: Duration = Duration::from_millis(200);
 /// Longest output and longest history that are read, in bytes.
 const MAX_OUTPUT: u64 = 1 << 26;
 
-/// Whether Ctrl-C was pressed while a child ran: the terminal sends it to the child too, which ends by itself.
-static STOPPED: AtomicBool = AtomicBool::new(false);
+/// How often Ctrl-C was pressed, or an end asked for otherwise.
+static STOPPED: AtomicUsize = AtomicUsize::new(0);
 static CHILD_RUNS: AtomicBool = AtomicBool::new(false);
 
-/// Lets Ctrl-C end a child in order, and the program at once where there is none.
+/// Lets Ctrl-C, and what else asks for an end, end a child in order, and the program at once where there is none.
 pub(super) fn stop_in_order() {
     let handler = ctrlc::set_handler(|| {
-        STOPPED.store(true, Ordering::SeqCst);
+        STOPPED.fetch_add(1, Ordering::SeqCst);
         if !CHILD_RUNS.load(Ordering::SeqCst) {
             tell(AGAIN);
             std::process::exit(Exit::Interrupted as i32);
@@ -126,7 +126,7 @@ impl Python {
         if status.success() {
             return Ok(said);
         }
-        if STOPPED.load(Ordering::SeqCst) || status.code() == Some(Exit::Interrupted as i32) {
+        if STOPPED.load(Ordering::SeqCst) > 0 || status.code() == Some(Exit::Interrupted as i32) {
             return Err(Failure::new(Exit::Interrupted, AGAIN));
         }
         let last = said.trim().lines().last().unwrap_or("").trim_start_matches("smr-gpu-train: ");
@@ -145,21 +145,37 @@ impl Python {
         log: &File,
         look: &mut dyn FnMut(),
     ) -> std::io::Result<ExitStatus> {
-        let mut child = Command::new(&self.program)
-            .args(["-m", "smr_gpu_train"])
-            .args(arguments)
-            .stdin(Stdio::null())
-            .stdout(log.try_clone()?)
-            .stderr(log.try_clone()?)
-            .spawn()?;
+        let mut command = Command::new(&self.program);
+        command.args(["-m", "smr_gpu_train"]).args(arguments).stdin(Stdio::null());
+        command.stdout(log.try_clone()?).stderr(log.try_clone()?);
+        // A terminal's Ctrl-C goes to this process alone, which passes on what else asks for an end too.
+        #[cfg(unix)]
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        let mut child = command.spawn()?;
+        let mut told = 0;
         loop {
             if let Some(status) = child.try_wait()? {
                 return Ok(status);
+            }
+            while told < STOPPED.load(Ordering::SeqCst) {
+                told += 1;
+                end(&child);
             }
             look();
             thread::sleep(PAUSE);
         }
     }
+}
+
+/// Asks a child to end: it lets its step end, asked twice it does not. On Windows the console has asked it.
+fn end(child: &Child) {
+    #[cfg(unix)]
+    if let Some(id) = i32::try_from(child.id()).ok().and_then(rustix::process::Pid::from_raw) {
+        // It may have ended by itself.
+        let _ = rustix::process::kill_process(id, rustix::process::Signal::TERM);
+    }
+    #[cfg(not(unix))]
+    let _ = child;
 }
 
 /// The lines of a run's history; what is no whole line of one is left out.

@@ -26,7 +26,7 @@ from . import history, split, weightfile
 from .config import ANCHOR_RATIOS, ANCHOR_SIZES, NETWORKS, Config, Variant
 from .data import scaled, whole_tiles
 from .errors import Failure, counted
-from .files import whole
+from .files import locked, whole
 from .history import History
 from .labels import DataSet, Folder
 from .learner import Learner, measure_statistics, network_views, rate
@@ -268,6 +268,13 @@ def estimate(asked: Request, data: DataSet, val: list[Folder], out: Path) -> int
 
 
 def run(asked: Request, data: DataSet, val: list[Folder], out: Path) -> int:
+    with locked(out) as ours:
+        if not ours:
+            raise Failure(f"{out}: expected a run that no other process trains, got one that another does")
+        return _run(asked, data, val, out)
+
+
+def _run(asked: Request, data: DataSet, val: list[Folder], out: Path) -> int:
     torch.set_num_threads(asked.threads)
     keep_memory()
     asked.save(out)

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from safetensors import safe_open
 from safetensors.torch import load_file
+from smr_gpu_train.files import locked
 
 SMR_GPU = os.environ["SMR_GPU"]
 STEPS = 6
@@ -198,6 +199,11 @@ class Fit(unittest.TestCase):
         (out / "history.jsonl").rmdir()
         call("fit", "--out", out, "--resume")
         self.assertEqual((out / "weights.safetensors").read_bytes(), (self.whole / "weights.safetensors").read_bytes())
+
+    def test_one_process_trains_a_run(self) -> None:
+        with locked(self.whole) as ours:
+            self.assertTrue(ours)
+            self.assertIn("that no other process trains", call("fit", "--out", self.whole, "--resume", status=2))
 
     def test_a_run_goes_on_with_its_own_pictures_alone(self) -> None:
         out, data = self.root / "moved", self.root / "moved-data"

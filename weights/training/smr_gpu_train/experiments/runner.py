@@ -4,11 +4,9 @@ OUT/RUN/checkpoint.pt is how far a run has come, OUT/RUN/progress.json the same 
 beside that OUT/RUN/weights.safetensors where a weight file can hold it. Two runners share the work: each run has a lock.
 """
 
-import contextlib
-import fcntl
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +17,7 @@ import torch
 from .. import weightfile
 from ..config import Config
 from ..errors import Failure
-from ..files import whole
+from ..files import locked, whole
 from ..fit import Stopping, keep_memory, log, look, parts_of, read_checkpoint
 from ..labels import DataSet, check_labelled, data_set, read_folders
 from ..learner import Learner, measure_statistics, network_views, rate
@@ -175,19 +173,6 @@ def load(row: Row, out: Path, device: str = "cpu") -> SmrNet:
     model = maker(row)(Config.from_dict(json.loads(saved["config"]))).to(device)
     model.load_state_dict(saved["state"])
     return model.to(memory_format=torch.channels_last).eval()
-
-
-@contextlib.contextmanager
-def locked(folder: Path) -> Iterator[bool]:
-    """Whether this process has it; the lock goes with the process, however that ends."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / "lock", "w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            yield False
-            return
-        yield True
 
 
 def run_one(plan: Plan, run: Run, data: Path, out: Path, program: Path | None, stopped: Callable[[], bool]) -> bool:

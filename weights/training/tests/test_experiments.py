@@ -134,6 +134,8 @@ def regions_go_with_their_views(root: Path) -> None:
     picture = np.full((100, 120, 3), 90, np.uint8)
     picture[20:60, 30:90] = 200
     assert np.abs(search(picture, "fast") - [30, 20, 90, 60]).sum(axis=1).min() <= 4
+    noisy = np.random.default_rng(0).integers(80, 140, (100, 120, 3), dtype=np.uint8)
+    assert (search(noisy, "fast") == search(noisy, "fast")).all()
     print("ok regions go with their views")
 
 

@@ -1,5 +1,6 @@
 """Regions from selective search (Uijlings et al. 2013), by OpenCV's contrib package, and views that carry them."""
 
+import ctypes
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +33,10 @@ class Searched:
 
 
 def search(picture: np.ndarray, mode: str) -> np.ndarray:
-    """Boxes [P, 4] in pixels of a picture [H, W, 3] in uint8 RGB, in the search's order; the picture itself if nothing else is found."""
+    """Boxes [P, 4] in pixels of a picture [H, W, 3] in uint8 RGB, in the search's order; the picture itself if nothing else is found.
+
+    The search ranks its boxes by C's rand(), which is begun anew: the same picture gives the same boxes.
+    """
     try:
         import cv2
     except ModuleNotFoundError:
@@ -41,6 +45,7 @@ def search(picture: np.ndarray, mode: str) -> np.ndarray:
     method = cv2.ximgproc.segmentation.createSelectiveSearchSegmentation()
     method.setBaseImage(np.ascontiguousarray(picture[:, :, ::-1]))
     method.switchToSelectiveSearchFast() if mode == "fast" else method.switchToSelectiveSearchQuality()
+    ctypes.CDLL(None).srand(1)
     found = method.process().astype(np.float32).reshape(-1, 4)
     found = found[found[:, 2:].min(axis=1, initial=np.inf) >= NARROWEST]
     boxes = np.concatenate([found[:, :2], found[:, :2] + found[:, 2:]], axis=1)

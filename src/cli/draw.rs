@@ -1,6 +1,7 @@
 //! Pictures with boxes, names and scores drawn in, and the folder they go to.
 
 use std::collections::HashMap;
+use std::error::Error;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
@@ -10,7 +11,10 @@ use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
 use imageproc::drawing::{draw_filled_rect_mut, draw_polygon_mut, draw_text_mut, text_size};
 use imageproc::point::Point;
 use imageproc::rect::Rect;
-use plotters::style::RGBColor;
+use plotters::coord::Shift;
+use plotters::drawing::{DrawingArea, IntoDrawingArea};
+use plotters::prelude::BitMapBackend;
+use plotters::style::{FontStyle, RGBColor};
 use smr_gpu::files::{self, Outputs};
 use smr_gpu::{Detection, Detections};
 
@@ -232,6 +236,31 @@ pub(super) fn fill(
         let rect = Rect::at(x, y).of_size(width as u32, height as u32);
         draw_filled_rect_mut(canvas, rect, colour);
     }
+}
+
+/// A chart as PNG, in the program's own font: no system has to have one.
+///
+/// # Errors
+/// What the plotting library returns.
+pub(super) fn chart_png(
+    (width, height): (u32, u32),
+    chart: impl FnOnce(&Chart<BitMapBackend>) -> Result<(), Box<dyn Error>>,
+) -> Result<Vec<u8>, Box<dyn Error>> {
+    register_chart_font();
+    let mut pixels = vec![0; 3 * width as usize * height as usize];
+    chart(&BitMapBackend::with_buffer(&mut pixels, (width, height)).into_drawing_area())?;
+    let picture = RgbImage::from_raw(width, height, pixels).ok_or("a buffer of another size")?;
+    let mut png = Cursor::new(Vec::new());
+    picture.write_to(&mut png, ImageFormat::Png)?;
+    Ok(png.into_inner())
+}
+
+/// What a chart is drawn on.
+pub(super) type Chart<DB> = DrawingArea<DB, Shift>;
+
+/// Makes [`FONT`] the charts' family. A second time changes nothing.
+pub(super) fn register_chart_font() {
+    let _ = plotters::style::register_font(FONT_FAMILY, FontStyle::Normal, FONT);
 }
 
 /// Writes a picture as PNG.

@@ -4,6 +4,7 @@ use std::fmt::Display;
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 
+use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::exit::{Exit, Failure};
@@ -45,6 +46,12 @@ pub(super) fn to_stdout(write: impl FnOnce() -> std::io::Result<()>) -> Result<(
         ErrorKind::BrokenPipe => Failure { exit: Exit::Pipe, message: None },
         _ => Failure::new(Exit::Output, format!("stdout: {e}")),
     })
+}
+
+/// A bar of so many steps; nothing where stderr is no terminal.
+pub(super) fn bar(steps: u64, template: &str) -> ProgressBar {
+    let style = ProgressStyle::with_template(template);
+    ProgressBar::new(steps).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
 /// A number of things, in words.

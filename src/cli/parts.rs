@@ -1,4 +1,4 @@
-//! Parts of one's own, for `simulate`: what the options name, read from files.
+//! Parts of one's own, for `simulate` and `teach`: what the options name, read from files.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -10,13 +10,12 @@ use smr_gpu::simulator::own_part::{Derived, OwnPart};
 use smr_gpu::simulator::relief::{self, Direction, Relief, Symmetry, View};
 use smr_gpu::simulator::scene::{Negative, NegativeShape, Own};
 use smr_gpu::simulator::snaps::Kind;
+use smr_gpu::smr::MAX_CLASSES;
 
 use super::exit::{Exit, Failure};
 use super::message::tell;
 use super::names::shown;
 
-/// Most classes that a network has.
-const MOST_CLASSES: usize = 10;
 /// Longest file of a part's settings, in bytes.
 const MOST_SETTINGS: u64 = 1 << 16;
 
@@ -173,9 +172,9 @@ fn settings(path: &Path) -> Result<PartSettings, String> {
 /// # Errors
 /// [`Exit::Usage`] for two classes of one name or too many; [`Exit::Inputs`] for a file that holds no part.
 pub(super) fn own(parts: &[PartArg], negatives: &[PathBuf], cad: &CadArgs) -> Result<Own, Failure> {
-    if parts.len() > MOST_CLASSES {
+    if parts.len() > MAX_CLASSES {
         let got = parts.len();
-        return Err(Failure::usage(format!("--part: expected at most {MOST_CLASSES}, got {got}")));
+        return Err(Failure::usage(format!("--part: expected at most {MAX_CLASSES}, got {got}")));
     }
     let mut own = Own::default();
     for (at, part) in parts.iter().enumerate() {

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Once};
 
 use clap::ValueEnum;
-use indicatif::{ProgressBar, ProgressStyle};
 use smr_gpu::Sensor;
 use smr_gpu::files::Outputs;
 use smr_gpu::simulator::Error;
@@ -213,9 +212,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let request =
         Request { mix: kind, conditions, part: look_alike, forced: force, sensor, press, own };
     let settings = Settings { out, count: count as usize, seed, request };
-    let bar = ProgressBar::new(count.into());
-    let style = ProgressStyle::with_template("{msg} {bar:40} {pos}/{len} pictures, {eta} left");
-    bar.set_style(style.map_err(|e| Failure::new(Exit::Output, e))?);
+    let bar = output::bar(count.into(), "{msg} {bar:40} {pos}/{len} pictures, {eta} left");
     let rendering = Once::new();
     let result = dataset::simulate(&settings, &|Progress { step, done, all }| {
         match step {

@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
 use smr_gpu::engine::tuned::{Place, Tuned};
 use smr_gpu::files::Outputs;
 use smr_gpu::verify::laboratory;
@@ -13,7 +12,7 @@ use super::detector::{AdapterArgs, NetworkArgs};
 use super::exit::{Exit, Failure};
 use super::folders::{self, CACHE_VARIABLE};
 use super::message::tell;
-use super::output::line;
+use super::output::{self, line};
 
 /// Measure which kernels are fastest on an adapter, and keep the choice
 ///
@@ -59,8 +58,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         }
     };
     files.check(&path)?;
-    let style = ProgressStyle::with_template("{bar:40} {pos} of {len} kernels a layer {elapsed}");
-    let bar = ProgressBar::new(0).with_style(style.unwrap_or(ProgressStyle::default_bar()));
+    let bar = output::bar(0, "{bar:40} {pos} of {len} kernels a layer {elapsed}");
     let limit = Duration::from_secs(args.seconds);
     let tuned = laboratory::tune(&detector, &gpu, limit, |done, all| {
         bar.set_length(all as u64);

@@ -32,6 +32,8 @@ pub struct OwnPart {
     pub relief: Relief,
     /// After which turns it looks the same in the deepest press.
     pub symmetry: Symmetry,
+    /// Depth at which a press touches half of what the deepest one does, in millimetres.
+    half_contact_mm: f64,
 }
 
 /// A shape that is easily taken for a part.
@@ -53,7 +55,8 @@ impl OwnPart {
     /// A part of this shape, whose symmetry is found from it.
     pub fn new(name: String, relief: Relief) -> Arc<Self> {
         let symmetry = relief.symmetry(DEEPEST_MM);
-        Arc::new(Self { name, relief, symmetry })
+        let half_contact_mm = relief.half_contact_mm(DEEPEST_MM);
+        Arc::new(Self { name, relief, symmetry, half_contact_mm })
     }
 
     /// The direction that a label states of a yaw in degrees: none for a part that looks the same after some
@@ -70,8 +73,7 @@ impl OwnPart {
     /// Draws how deep the highest point goes into the gel, in millimetres: as of A and B, mostly so deep that the
     /// part's lower faces touch too, as far as presses go.
     pub fn sample_depth(&self, rng: &mut Pcg64) -> f64 {
-        let half = self.relief.half_contact_mm(DEEPEST_MM);
-        let [low, high] = PAST_MM.map(|past| (half + past).min(DEEPEST_MM));
+        let [low, high] = PAST_MM.map(|past| (self.half_contact_mm + past).min(DEEPEST_MM));
         // Of a part whose faces are that far apart the deepest presses.
         let low = low.clamp(SHALLOWEST_MM, DEEPEST_MM - PAST_MM[1] / 2.0);
         match rng.random_bool(SHALLOW) && low > SHALLOWEST_MM {

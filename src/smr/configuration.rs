@@ -9,7 +9,7 @@ use crate::engine::ops::{MEAN, STD};
 use crate::sensor::scale::PAPER_MM;
 
 /// Most classes: 100 proposals in each must fit the 1024 boxes of one non-maximum suppression.
-const MAX_CLASSES: usize = 10;
+pub const MAX_CLASSES: usize = 10;
 /// Characters of the longest class name.
 const MAX_NAME: usize = 64;
 /// Most anchors of a cell: 16 bytes of deltas for each of 180 × 180 cells are 32 MiB.

@@ -11,7 +11,7 @@ mod rpn;
 mod weights;
 
 pub use catalog::Catalog;
-pub use configuration::{ModelConfig, Variant};
+pub use configuration::{MAX_CLASSES, ModelConfig, Variant};
 pub use roi_head::Wanted;
 pub use weights::{Bytes, MAX_FILE, WeightSource, Weights};
 

@@ -1,12 +1,12 @@
 //! `smr-gpu eval`: how good the detections are on labelled pictures.
 
-mod print;
+pub(super) mod print;
 pub(super) mod sheet;
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use serde::Serialize;
 use smr_gpu::evaluation::coco::{self, Picture};
 use smr_gpu::evaluation::{
@@ -21,7 +21,7 @@ use super::draw::Gallery;
 use super::exit::{Exit, Failure, told};
 use super::message::tell;
 use super::names::{base64, shown};
-use super::output::{folder_name, json_line};
+use super::output::{bar, folder_name, json_line};
 use super::source::Source;
 
 /// Longest annotations.json: COCO's own of 118 thousand pictures is half as long.
@@ -226,8 +226,8 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             deviations: deviations(&set.seen, conf),
         }
     };
-    let progress = ProgressBar::new(labels.iter().map(|(_, p)| p.len() as u64).sum());
-    let progress = progress.with_style(style());
+    let all = labels.iter().map(|(_, p)| p.len() as u64).sum();
+    let progress = bar(all, "{pos}/{len} pictures {wide_bar} {eta} left");
     let mut together = Set::named(TOGETHER);
     let mut assumed = Assumed::default();
     let network = &args.detector.network;
@@ -330,11 +330,6 @@ pub(super) fn detect_all(
         progress.inc(1);
     }
     Ok(set)
-}
-
-fn style() -> ProgressStyle {
-    ProgressStyle::with_template("{pos}/{len} pictures {wide_bar} {eta} left")
-        .unwrap_or_else(|_| ProgressStyle::default_bar())
 }
 
 /// The pictures of a folder, by their ids, with what they show of the weights' `classes`; `outputs` spare

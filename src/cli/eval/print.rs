@@ -196,7 +196,8 @@ pub(super) fn remark(report: &Report) {
     ));
 }
 
-fn number(value: Option<f64>, digits: usize) -> String {
+/// A figure with so many digits, or a dash.
+pub(in super::super) fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "-".into(), |v| format!("{v:.digits$}"))
 }
 

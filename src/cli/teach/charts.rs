@@ -1,14 +1,11 @@
 //! Line charts of the report.
 
 use std::error::Error;
-use std::io::Cursor;
 use std::ops::Range;
 
-use image::{ImageFormat, RgbImage};
 use plotters::prelude::*;
-use plotters::style::FontStyle;
 
-use super::super::draw::{CHART_COLOURS, FONT, FONT_FAMILY};
+use super::super::draw::{self, CHART_COLOURS, FONT_FAMILY, chart_png};
 
 const SIZE: (u32, u32) = (720, 480);
 /// Points are marked on lines of at most so many.
@@ -29,20 +26,10 @@ pub(super) struct Chart<'a> {
 /// # Errors
 /// What the plotting library returns.
 pub(super) fn png(chart: &Chart) -> Result<Vec<u8>, Box<dyn Error>> {
-    // The program brings its font: no system has to have one. A second time changes nothing.
-    let _ = plotters::style::register_font(FONT_FAMILY, FontStyle::Normal, FONT);
-    let mut pixels = vec![0; 3 * (SIZE.0 * SIZE.1) as usize];
-    draw(&BitMapBackend::with_buffer(&mut pixels, SIZE).into_drawing_area(), chart)?;
-    let picture = RgbImage::from_raw(SIZE.0, SIZE.1, pixels).ok_or("a buffer of another size")?;
-    let mut png = Cursor::new(Vec::new());
-    picture.write_to(&mut png, ImageFormat::Png)?;
-    Ok(png.into_inner())
+    chart_png(SIZE, |root| draw(root, chart))
 }
 
-fn draw(
-    root: &DrawingArea<BitMapBackend, plotters::coord::Shift>,
-    chart: &Chart,
-) -> Result<(), Box<dyn Error>> {
+fn draw(root: &draw::Chart<BitMapBackend>, chart: &Chart) -> Result<(), Box<dyn Error>> {
     root.fill(&WHITE)?;
     let mut axes = ChartBuilder::on(root)
         .caption(chart.title, (FONT_FAMILY, 20))

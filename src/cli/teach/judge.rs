@@ -6,14 +6,16 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use smr_gpu::evaluation::Seen;
 use smr_gpu::files::{self, Outputs};
-use smr_gpu::{Config, GpuDetector, Savings, WeightSource};
+use smr_gpu::{Config, GpuDetector, Savings, Sensor, WeightSource};
 
 use super::super::detector::{self, Assumed};
 use super::super::eval::{self, Labelled, Stated};
 use super::super::exit::Failure;
-use super::super::output::folder_name;
+use super::super::folders;
+use super::super::output::{bar, folder_name};
+use super::super::source::Source;
 use super::plan::Role;
-use super::{MAX_ASKED, Teaching, bar, unreadable};
+use super::{MAX_ASKED, Teaching, unreadable};
 
 /// Score above which a box counts, as `detect` has it.
 pub(super) const COUNTS_ABOVE: f32 = 0.5;
@@ -44,13 +46,12 @@ impl Judged {
 
 /// Looks at each test set, and at those of --data's pictures that were held out, with nothing left out.
 pub(super) fn judge(teaching: &Teaching, weights: &Path) -> Result<Judged, Failure> {
-    let open = |sensor: Option<&String>| -> Result<GpuDetector, Failure> {
+    let open = |sensor: Option<Sensor>| -> Result<GpuDetector, Failure> {
         let mut config = Config::with_weights(WeightSource::File(weights.to_owned()));
-        config.sensor =
-            sensor.map(|text| detector::sensor(text)).transpose().map_err(Failure::usage)?;
+        config.sensor = sensor;
         config.score = smr_gpu::evaluation::LEAST_SCORE as f32;
         config.savings = Savings::NONE;
-        config.tuned_kernels = super::super::folders::tuned();
+        config.tuned_kernels = folders::tuned();
         detector::open(config)
     };
     let detector = open(None)?;
@@ -71,18 +72,16 @@ pub(super) fn judge(teaching: &Teaching, weights: &Path) -> Result<Judged, Failu
     for folder in &teaching.args.data {
         let mut pictures = eval::read_labels(folder, &classes, &mut outputs)?;
         pictures.retain(|labelled| match &labelled.source {
-            super::super::source::Source::File(path) => {
-                path.canonicalize().is_ok_and(|path| held_out.contains(&path))
-            }
-            super::super::source::Source::Stdin => false,
+            Source::File(path) => path.canonicalize().is_ok_and(|path| held_out.contains(&path)),
+            Source::Stdin => false,
         });
         sets.push((folder_name(folder), Role::Test, pictures));
     }
     let all: u64 = sets.iter().map(|(.., pictures)| pictures.len() as u64).sum();
-    let progress = bar(all, "testing {bar:40} {pos}/{len} pictures, {eta} left")?;
+    let progress = bar(all, "testing {bar:40} {pos}/{len} pictures, {eta} left");
     // Its frames alone are the sensor's for sure.
     let own = match sets.len() > simulated {
-        true => Some(open(teaching.args.sensor.as_ref())?),
+        true => Some(open(teaching.sensor.as_ref().map(|given| given.sensor().clone()))?),
         false => None,
     };
     let mut judged = Judged { classes, adapter: detector.adapter(), sets: Vec::new() };

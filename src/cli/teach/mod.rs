@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
+use indicatif::HumanDuration;
 use serde::{Deserialize, Serialize};
 use smr_gpu::files::{self, Lock, Outputs, lock};
 use smr_gpu::simulator::dataset::{self, Progress, Settings, Step};
@@ -31,7 +31,7 @@ use super::eval;
 use super::exit::{Exit, Failure};
 use super::message::tell;
 use super::names::shown;
-use super::output::{count, line};
+use super::output::{bar, count, line};
 use super::parts::{self, CadArgs, PartArg};
 use super::preview;
 use super::simulate::{drawable, failure};
@@ -76,7 +76,7 @@ pub(super) struct Args {
 
     /// The sensor that takes the pictures: a name or a sensor file (JSON), as `smr-gpu calibrate` writes. A quarter
     /// of the simulated pictures are drawn as it takes them, and it has taken those of --data that state no scale.
-    #[arg(long, value_name = "NAME|FILE", value_parser = sensor)]
+    #[arg(long, value_name = "NAME|FILE")]
     sensor: Option<String>,
 
     /// The network to begin with: what it knows of contact helps with any part. `large` learns four times slower.
@@ -149,10 +149,6 @@ fn inner_fraction(text: &str) -> Result<f64, String> {
     }
 }
 
-fn sensor(text: &str) -> Result<String, String> {
-    drawable(text).map(|_| text.to_owned())
-}
-
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     if args.part.is_empty() && args.data.is_empty() {
         return Err(Failure::usage("expected parts, --data or both, got neither"));
@@ -162,7 +158,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let own = parts::own(&args.part, &args.negative, &args.cad)?;
     let given = match &args.sensor {
         Some(text) => {
-            let sensor = drawable(text).map_err(Failure::usage)?;
+            let sensor = drawable(text).map_err(|e| Failure::usage(format!("--sensor: {e}")))?;
             Some(Arc::new(Given::new(sensor).map_err(|e| Failure::new(Exit::Inputs, e))?))
         }
         None => None,
@@ -184,7 +180,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let plan = Plan {
         work: &work,
         own: &own,
-        sensor: given,
+        sensor: given.clone(),
         seed: args.seed.into(),
         pictures: args.pictures as usize,
         test: args.test as usize,
@@ -194,7 +190,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         let mut outputs = Outputs::sparing(parts::files(&args.part));
         preview::write(&mut outputs, &work.join("parts.png"), &own, args.seed.into())?;
     }
-    let teaching = Teaching { args: &args, work, own, sets, python };
+    let teaching = Teaching { args: &args, work, own, sensor: given, sets, python };
     let started = Instant::now();
     teaching.foresee()?;
     if args.estimate {
@@ -272,11 +268,24 @@ fn read(file: &Path) -> Result<Vec<u8>, Failure> {
     files::read(file, smr_gpu::smr::MAX_FILE).map_err(|e| unreadable(file, &e))
 }
 
+/// A path as Python is told it.
+fn text(path: &Path) -> Result<String, Failure> {
+    path.to_str().map(str::to_owned).ok_or_else(|| {
+        let path = shown(path.as_os_str());
+        Failure::usage(format!("{path}: expected a name in Unicode, which Python is told"))
+    })
+}
+
+fn texts(paths: &[PathBuf]) -> Result<Vec<String>, Failure> {
+    paths.iter().map(|path| text(path)).collect()
+}
+
 /// What is taught, and with what.
 struct Teaching<'a> {
     args: &'a Args,
     work: PathBuf,
     own: Own,
+    sensor: Option<Arc<Given>>,
     /// None where there are no parts.
     sets: Vec<Set>,
     python: Python,
@@ -353,7 +362,7 @@ impl Teaching<'_> {
     /// Simulates what is missing of the sets.
     fn simulate(&self) -> Result<(), Failure> {
         let all: usize = self.sets.iter().map(|set| set.settings.count).sum();
-        let bar = bar(all as u64, "simulating {bar:40} {pos}/{len} pictures, {eta} left")?;
+        let bar = bar(all as u64, "simulating {bar:40} {pos}/{len} pictures, {eta} left");
         let mut before = 0;
         for set in &self.sets {
             let result = dataset::simulate(&set.settings, &|Progress { step, done, .. }| {
@@ -408,14 +417,6 @@ impl Teaching<'_> {
 
     /// The arguments of `fit` on these sets and the labelled pictures, into a folder.
     fn fit_arguments(&self, sets: &[Set], out: &Path) -> Result<Vec<String>, Failure> {
-        let text = |path: &Path| {
-            path.to_str().map(str::to_owned).ok_or_else(|| {
-                let path = shown(path.as_os_str());
-                Failure::usage(format!("{path}: expected a name in Unicode, which Python is told"))
-            })
-        };
-        let texts =
-            |paths: &[PathBuf]| paths.iter().map(|path| text(path)).collect::<Result<Vec<_>, _>>();
         let simulated = texts(&plan::folders(sets, Role::Train))?;
         let calibration: Vec<PathBuf> = plan::folders(sets, Role::Calibrate);
         let own = texts(&self.args.data)?;
@@ -463,22 +464,29 @@ impl Teaching<'_> {
         }
         let arguments = match std::fs::exists(run.join("run.json")) {
             Ok(true) => {
-                let out = shown(run.as_os_str());
+                let out = text(&run)?;
                 ["fit", "--resume", "--out", &out].map(str::to_owned).to_vec()
             }
             _ => self.fit_arguments(&self.sets, &run)?,
         };
-        let bar = bar(self.args.steps.into(), "training {bar:40} {pos}/{len} steps{msg}")?;
+        let bar = bar(self.args.steps.into(), "training {bar:40} {pos}/{len} steps{msg}");
+        let mut read = 0;
         let look = &mut || {
-            if let Some(last) = python::history(&run).iter().rev().find(|line| line.loss.is_some())
-            {
-                bar.set_position(last.step.into());
-                let left =
-                    last.seconds_left.filter(|left| left.is_finite()).unwrap_or(0.0).max(0.0);
-                let left = HumanDuration(Duration::from_secs_f64(left));
-                bar.set_message(format!(", {left} left, loss {:.3}", last.loss.unwrap_or(0.0)));
-            }
             bar.tick();
+            // It grows every twenty steps.
+            let length = python::history_length(&run);
+            if length == read {
+                return;
+            }
+            read = length;
+            let lines = python::history(&run);
+            if let Some((last, loss)) = lines.iter().rev().find_map(|line| Some((line, line.loss?)))
+            {
+                let left = last.seconds_left.unwrap_or(0.0).max(0.0);
+                let left = HumanDuration(Duration::from_secs_f64(left));
+                bar.set_position(last.step.into());
+                bar.set_message(format!(", {left} left, loss {loss:.3}"));
+            }
         };
         let result = self.python.run(&arguments, look);
         bar.finish_and_clear();
@@ -491,24 +499,24 @@ impl Teaching<'_> {
     /// Fits scores and stated deviations; returns the weights.
     fn calibrate(&self, trained: &Path) -> Result<PathBuf, Failure> {
         let out = self.work.join("weights.safetensors");
-        let [weights, file] = [trained, &out].map(|path| shown(path.as_os_str()));
+        let (weights, file) = (text(trained)?, text(&out)?);
         let mut arguments: Vec<String> =
             ["calibrate", "--weights", &weights, "--out", &file, "--data"]
                 .map(str::to_owned)
                 .to_vec();
         let calibration = plan::folders(&self.sets, Role::Calibrate);
         match calibration.is_empty() {
-            false => arguments.extend(calibration.iter().map(|path| shown(path.as_os_str()))),
+            false => arguments.extend(texts(&calibration)?),
             true => {
-                arguments.extend(self.args.data.iter().map(|path| shown(path.as_os_str())));
-                let split = shown(self.run_folder().join("split.json").as_os_str());
+                arguments.extend(texts(&self.args.data)?);
+                let split = text(&self.run_folder().join("split.json"))?;
                 arguments.extend(["--split".to_owned(), split]);
             }
         }
         if let Some(sensor) = &self.args.sensor {
             arguments.extend(["--sensor".to_owned(), sensor.clone()]);
         }
-        let bar = bar(0, "fitting scores and deviations {spinner}")?;
+        let bar = bar(0, "fitting scores and deviations {spinner}");
         let result = self.python.run(&arguments, &mut || bar.tick());
         bar.finish_and_clear();
         result?;
@@ -520,10 +528,4 @@ impl Teaching<'_> {
         let judged = judge::judge(self, weights)?;
         report::write(self, weights, &judged)
     }
-}
-
-fn bar(length: u64, template: &str) -> Result<ProgressBar, Failure> {
-    let style = ProgressStyle::with_template(template);
-    let style = style.map_err(|e| Failure::new(Exit::Output, e))?;
-    Ok(ProgressBar::new(length).with_style(style))
 }

@@ -178,9 +178,16 @@ fn end(child: &Child) {
     let _ = child;
 }
 
+const HISTORY: &str = "history.jsonl";
+
+/// Bytes of a run's history.
+pub(super) fn history_length(run: &Path) -> u64 {
+    fs::metadata(run.join(HISTORY)).map_or(0, |file| file.len())
+}
+
 /// The lines of a run's history; what is no whole line of one is left out.
 pub(super) fn history(run: &Path) -> Vec<Line> {
-    let file = run.join("history.jsonl");
+    let file = run.join(HISTORY);
     let text = match files::read(&file, MAX_OUTPUT) {
         Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
         Err(_) => String::new(),

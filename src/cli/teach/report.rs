@@ -11,7 +11,8 @@ use smr_gpu::evaluation::{
 use smr_gpu::files::{self, Outputs};
 
 use super::super::draw;
-use super::super::eval::sheet;
+use super::super::eval::print::number;
+use super::super::eval::{Labelled, sheet};
 use super::super::exit::{Exit, Failure};
 use super::super::names::shown;
 use super::super::parts::PartArg;
@@ -26,7 +27,9 @@ pub(super) fn write(
     weights: &Path,
     judged: &Judged,
 ) -> Result<PathBuf, Failure> {
-    let pages = Pages { teaching, judged };
+    let shown = judged.shown();
+    let seen = shown.iter().map(|(_, seen)| (*seen).clone()).collect();
+    let pages = Pages { teaching, judged, shown, seen };
     let mut text = pages.head(weights);
     text += &pages.figures();
     text += &pages.negatives();
@@ -42,6 +45,9 @@ pub(super) fn write(
 struct Pages<'a> {
     teaching: &'a Teaching<'a>,
     judged: &'a Judged,
+    /// The pictures of snaps, and what was seen in them.
+    shown: Vec<(&'a Labelled, &'a Seen)>,
+    seen: Vec<Seen>,
 }
 
 impl Pages<'_> {
@@ -152,14 +158,14 @@ impl Pages<'_> {
 
     fn confusion(&self) -> String {
         let classes = &self.judged.classes;
-        let seen = self.seen();
         let heads = classes.iter().map(|class| format!(" found as {} |", cell(class)));
         let mut text = format!(
             "\n## What snaps are found as\n\n| |{} not found |\n|---|{}---:|\n",
             heads.collect::<String>(),
             "---:|".repeat(classes.len())
         );
-        for (class, row) in classes.iter().zip(confusion(&seen, classes.len(), COUNTS_ABOVE.into()))
+        for (class, row) in
+            classes.iter().zip(confusion(&self.seen, classes.len(), COUNTS_ABOVE.into()))
         {
             let row = row.iter().map(|n| format!(" {n} |")).collect::<String>();
             let _ = writeln!(text, "| {} |{row}", cell(class));
@@ -169,11 +175,11 @@ impl Pages<'_> {
 
     /// Precision and recall, and how far scores and deviations hold.
     fn scores(&self) -> Result<String, Failure> {
-        let (classes, seen) = (&self.judged.classes, self.seen());
+        let (classes, seen) = (&self.judged.classes, &self.seen);
         let curves: Vec<_> = classes
             .iter()
             .enumerate()
-            .map(|(index, class)| (class.clone(), precision_recall(&seen, index)))
+            .map(|(index, class)| (class.clone(), precision_recall(seen, index)))
             .collect();
         self.chart(
             "precision.png",
@@ -185,7 +191,7 @@ impl Pages<'_> {
                 names: SeriesLabelPosition::LowerLeft,
             },
         )?;
-        let reliable = reliability(&seen, classes.len());
+        let reliable = reliability(seen, classes.len());
         let points = reliable.bins.iter().map(|bin| (bin.mean_score, bin.right)).collect();
         self.chart(
             "reliability.png",
@@ -201,7 +207,7 @@ impl Pages<'_> {
             },
         )?;
         let error = number(reliable.expected_error, 3);
-        let deviations = deviations(&seen, COUNTS_ABOVE.into());
+        let deviations = deviations(seen, COUNTS_ABOVE.into());
         let within = |thirds| percent(share_within(thirds));
         Ok(format!(
             "\n## Scores\n\n![Precision by recall](precision.png)\n![How often boxes are right, by \
@@ -216,11 +222,11 @@ impl Pages<'_> {
 
     /// Contact sheets.
     fn pictures(&self) -> Result<String, Failure> {
-        let (shown, classes) = (self.judged.shown(), &self.judged.classes);
+        let (shown, classes) = (&self.shown, &self.judged.classes);
         let mut text =
             "\n## Pictures\n\nWhite: what is there. Coloured: what was found.\n".to_owned();
-        let best = sheet::best(&shown, classes, COUNTS_ABOVE);
-        let worst = sheet::worst(&shown, classes, COUNTS_ABOVE);
+        let best = sheet::best(shown, classes, COUNTS_ABOVE);
+        let worst = sheet::worst(shown, classes, COUNTS_ABOVE);
         for (name, title, sheet) in [("hits", "The best", best), ("misses", "The worst", worst)] {
             let Some(sheet) = sheet else { continue };
             let file = self.teaching.work.join(format!("{name}.png"));
@@ -265,11 +271,6 @@ impl Pages<'_> {
         Ok("\n## Learning\n\n![Loss and validation by step](learning.png)\n".to_owned())
     }
 
-    /// What was seen in all pictures of snaps.
-    fn seen(&self) -> Vec<Seen> {
-        self.judged.shown().into_iter().map(|(_, seen)| seen.clone()).collect()
-    }
-
     fn chart(&self, name: &str, chart: &Chart) -> Result<(), Failure> {
         let png =
             charts::png(chart).map_err(|e| Failure::new(Exit::Output, format!("{name}: {e}")))?;
@@ -284,8 +285,4 @@ fn cell(text: &str) -> String {
 
 fn percent(share: Option<f64>) -> String {
     number(share.map(|share| 100.0 * share), 1)
-}
-
-fn number(value: Option<f64>, digits: usize) -> String {
-    value.map_or("-".to_owned(), |value| format!("{value:.digits$}"))
 }

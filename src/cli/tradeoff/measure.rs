@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use image::DynamicImage;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use smr_gpu::engine::tensor::Value;
 use smr_gpu::evaluation::metrics::box_iou;
 use smr_gpu::evaluation::tradeoff::{Measured, Quality, Setup, Shift, Spread, StageError, Table};
@@ -18,6 +18,7 @@ use super::super::detector;
 use super::super::eval::Labelled;
 use super::super::exit::{Exit, Failure};
 use super::super::message::tell;
+use super::super::output;
 use super::super::source::Source;
 use super::setups::{BATCH, Plan, configured, weights_of};
 use super::{SCORE, peak};
@@ -152,11 +153,10 @@ fn prepare(
     Ok(())
 }
 
-/// A bar of so many steps; nothing where stderr is no terminal.
+/// A bar of so many steps of something.
 fn bar(steps: usize, what: &str) -> ProgressBar {
-    let style = ProgressStyle::with_template("{pos}/{len} {msg} {wide_bar} {eta} left");
-    let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(steps as u64).with_style(style).with_message(what.to_owned())
+    let bar = output::bar(steps as u64, "{pos}/{len} {msg} {wide_bar} {eta} left");
+    bar.with_message(what.to_owned())
 }
 
 fn left_out(setup: &Setup, why: &Failure) {

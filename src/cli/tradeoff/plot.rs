@@ -1,16 +1,15 @@
 //! Error against run time, drawn as PNG and as SVG.
 
 use std::error::Error;
-use std::io::Cursor;
 
-use image::{ImageFormat, RgbImage};
 use plotters::coord::Shift;
 use plotters::prelude::*;
-use plotters::style::FontStyle;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use smr_gpu::evaluation::tradeoff::{Measured, Table};
 
-use super::super::draw::{CHART_COLOURS as COLOURS, FONT, FONT_FAMILY as FAMILY};
+use super::super::draw::{
+    CHART_COLOURS as COLOURS, FONT_FAMILY as FAMILY, chart_png, register_chart_font,
+};
 use super::super::output::count;
 
 /// Width of the picture, and of its height what does not depend on the front's length.
@@ -31,17 +30,12 @@ pub(super) struct Plots {
 /// # Errors
 /// What the plotting library returns, in words.
 pub(super) fn draw(table: &Table) -> Result<Plots, Box<dyn Error>> {
-    // The program brings its font: no system has to have one. A second time changes nothing.
-    let _ = plotters::style::register_font(FAMILY, FontStyle::Normal, FONT);
+    register_chart_font();
     let height = HEIGHT + LINE * (table.front().len() as u32 + 2);
     let mut svg = String::new();
     chart(&SVGBackend::with_string(&mut svg, (WIDTH, height)).into_drawing_area(), table)?;
-    let mut pixels = vec![0; (3 * WIDTH * height) as usize];
-    chart(&BitMapBackend::with_buffer(&mut pixels, (WIDTH, height)).into_drawing_area(), table)?;
-    let picture = RgbImage::from_raw(WIDTH, height, pixels).ok_or("a buffer of another size")?;
-    let mut png = Cursor::new(Vec::new());
-    picture.write_to(&mut png, ImageFormat::Png)?;
-    Ok(Plots { png: png.into_inner(), svg: svg.into_bytes() })
+    let png = chart_png((WIDTH, height), |root| chart(root, table))?;
+    Ok(Plots { png, svg: svg.into_bytes() })
 }
 
 /// Place of a row: time in ms, shift in mm; those that lose more than one box in twenty lie on the top

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use smr_gpu::simulator::Error;
 use smr_gpu::simulator::mesh::{Mesh, Unit};
-use smr_gpu::simulator::own_part::{Derived, OwnPart};
+use smr_gpu::simulator::own_part::{Derived, OwnPart, PressedLike};
 use smr_gpu::simulator::relief::{self, Direction, Relief, Symmetry, View};
 use smr_gpu::simulator::scene::{Negative, NegativeShape, Own};
 use smr_gpu::simulator::snaps::Kind;
@@ -190,11 +190,13 @@ pub(super) fn own(parts: &[PartArg], negatives: &[PathBuf], cad: &CadArgs) -> Re
             PartArg::Own { name, file } => {
                 let part = OwnPart::new(name.clone(), read(file, cad)?);
                 tell(described(&part));
-                for Derived { what, weight, relief } in part.negatives() {
+                for Derived { what, weight, shape } in part.negatives() {
                     let name = format!("{name}-{what}");
-                    match relief {
-                        Some(relief) => {
-                            own.negatives.push(Negative { weight, ..Negative::of(name, relief) });
+                    match shape {
+                        Some((relief, least_mm)) => {
+                            let pressed = Some(PressedLike { part: part.clone(), least_mm });
+                            let negative = Negative::of(name, relief);
+                            own.negatives.push(Negative { weight, pressed, ..negative });
                         }
                         None => tell(format!("{name} looks like the part, and is left out")),
                     }
@@ -210,7 +212,7 @@ pub(super) fn own(parts: &[PartArg], negatives: &[PathBuf], cad: &CadArgs) -> Re
     for kind in [Kind::A, Kind::B] {
         if !own.classes.is_empty() && !own.classes.contains(&kind) {
             let (name, shape) = (kind.name().to_owned(), NegativeShape::Snap(kind));
-            own.negatives.push(Negative { name, shape, weight: 1 });
+            own.negatives.push(Negative { name, shape, weight: 1, pressed: None });
         }
     }
     Ok(own)

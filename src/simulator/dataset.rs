@@ -34,7 +34,7 @@ use super::label::Label;
 use super::raster::Raster;
 use super::relief::Relief;
 use super::render::{Rendered, Renderer, Request};
-use super::scene::{Mix, NegativeShape, scene_seed};
+use super::scene::{Mix, Negative, NegativeShape, scene_seed};
 use super::snaps::Kind;
 use super::{Error, on_threads};
 use crate::files;
@@ -151,9 +151,12 @@ impl Origin {
             negatives: own
                 .negatives
                 .iter()
-                .map(|negative| match &negative.shape {
-                    NegativeShape::Relief(relief) => digest(relief),
-                    NegativeShape::Snap(kind) => kind.name().to_owned(),
+                .map(|Negative { shape, pressed, .. }| match (shape, pressed) {
+                    (NegativeShape::Snap(kind), _) => kind.name().to_owned(),
+                    (NegativeShape::Relief(relief), None) => digest(relief),
+                    (NegativeShape::Relief(relief), Some(pressed)) => {
+                        format!("{}, from {:.2} mm", digest(relief), pressed.least_mm)
+                    }
                 })
                 .collect(),
             negatives_alone: own.negatives_alone,

@@ -314,11 +314,17 @@ impl Layout<'_> {
             None => self.own.negative(self.rng, |rng, kind| Snap::sample_wide(rng, kind, forced)),
             Some(_) => None,
         };
-        let shape = own.or_else(|| Distractor::sample_wide(self.rng, part, forced));
+        let (shape, pressed) = match own {
+            Some((shape, pressed)) => (Some(shape), pressed),
+            None => (Distractor::sample_wide(self.rng, part, forced), None),
+        };
         let Some(shape) = shape else { return };
-        let depth_mm = match shape {
+        let depth_mm = match (pressed, &shape) {
+            (Some(pressed), _) => pressed.sample_wide_depth(self.rng),
             // A ball is calibrated with: as deep as its half sphere, so that its whole outline shows.
-            Distractor::Pin { radius, .. } if part == Part::Ball && self.rng.random_bool(0.6) => {
+            (None, Distractor::Pin { radius, .. })
+                if part == Part::Ball && self.rng.random_bool(0.6) =>
+            {
                 (radius * self.rng.random_range(0.4..1.0)).min(DEEPEST_MM)
             }
             _ if self.rng.random_bool(0.25) => self.rng.random_range(0.1..0.6),

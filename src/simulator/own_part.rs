@@ -22,6 +22,8 @@ const FAINT_MM: [f64; 2] = [0.3, 0.8];
 const TIP: f64 = 1.0 / 3.0;
 /// How often that is drawn beside each other negative: it is the one that is hardest to tell from the part.
 const CUT_WEIGHT: u32 = 3;
+/// Slope of the most that a part is tilted by, which can keep one of its ends off the gel.
+const TILT: f64 = 0.06;
 
 /// A class of snaps that is a height field.
 #[derive(Debug, PartialEq)]
@@ -47,8 +49,30 @@ pub struct Derived {
     pub what: &'static str,
     /// How often it is drawn beside 1 of others.
     pub weight: u32,
-    /// `None` where it looks like the part itself, in the deepest press.
-    pub relief: Option<Relief>,
+    /// Its shape, and the depth in millimetres from which presses tell it from the part, however both are tilted.
+    /// `None` where the deepest one does not.
+    pub shape: Option<(Relief, f64)>,
+}
+
+/// How a part's negative is pressed: as deep as the part, but no less deep than what tells them apart.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PressedLike {
+    /// The part.
+    pub part: Arc<OwnPart>,
+    /// The least depth in millimetres.
+    pub least_mm: f64,
+}
+
+impl PressedLike {
+    /// Draws a depth in millimetres.
+    pub fn sample_depth(&self, rng: &mut Pcg64) -> f64 {
+        self.part.sample_depth(rng).max(self.least_mm)
+    }
+
+    /// Draws the depth of a wide picture's press.
+    pub fn sample_wide_depth(&self, rng: &mut Pcg64) -> f64 {
+        self.part.sample_wide_depth(rng).max(self.least_mm)
+    }
 }
 
 impl OwnPart {
@@ -99,8 +123,12 @@ impl OwnPart {
             ("mirror", 1, relief.mirrored()),
         ]
         .map(|(what, weight, other)| {
-            let relief = Some(other).filter(|other| !other.looks_like(relief, DEEPEST_MM));
-            Derived { what, weight, relief }
+            let [x, y] = relief.half_size();
+            let tilted = TILT * x.hypot(y);
+            let shape = other
+                .told_apart_mm(relief, DEEPEST_MM)
+                .map(|apart| (other, (apart + tilted).min(DEEPEST_MM)));
+            Derived { what, weight, shape }
         })
     }
 }
@@ -128,6 +156,33 @@ mod tests {
     fn part(triangles: Vec<Triangle>) -> Arc<OwnPart> {
         let mesh = Mesh::new(triangles, Unit::Mm).expect("a mesh");
         OwnPart::new("part".to_owned(), Relief::of_mesh(&mesh, View::default()).expect("a part").0)
+    }
+
+    #[test]
+    fn what_equals_the_part_is_no_negative() {
+        // A plate far below two ridges; the one that the zero points to lies 0.4 mm below the other.
+        let (mut high, mut low) = (block([0.5, 3.0], 0.0), block([0.5, 3.0], -0.4));
+        high.iter_mut().flatten().for_each(|corner| corner[0] -= 3.0);
+        low.iter_mut().flatten().for_each(|corner| corner[0] += 3.0);
+        let ridges = part([block([4.0, 3.0], -2.0), high, low].concat());
+        let negatives = ridges.negatives();
+        let least = |what: &str| {
+            let found = negatives.iter().find(|negative| negative.what == what);
+            found.and_then(|negative| negative.shape.as_ref()).map(|(_, least_mm)| *least_mm)
+        };
+        // Where the lower ridge touches, and as much deeper as a slope of 0.06 lifts it: at 5 mm by 0.3.
+        let cut = least("cut").expect("a negative");
+        assert!((0.7..0.75).contains(&cut), "{cut}");
+        // A block under both shows at once; a mirror image never.
+        assert!(least("block").is_some_and(|least| (0.3..0.35).contains(&least)));
+        assert_eq!(least("mirror"), None);
+        let pressed = PressedLike { part: ridges.clone(), least_mm: cut };
+        let rng = &mut Pcg64::seed_from_u64(1);
+        let depths: Vec<f64> = (0..1000)
+            .flat_map(|_| [pressed.sample_depth(rng), pressed.sample_wide_depth(rng)])
+            .collect();
+        assert!(depths.iter().all(|depth| (cut..=DEEPEST_MM).contains(depth)));
+        assert!(depths.iter().any(|depth| *depth > cut + 0.2), "as deep as the part");
     }
 
     #[test]

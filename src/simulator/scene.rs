@@ -10,6 +10,7 @@ use rand_pcg::Pcg64;
 use super::contact::NO_BODY;
 use super::distractors::Distractor;
 use super::gel::Grid;
+use super::own_part::PressedLike;
 use super::pose::Pose;
 use super::raster::Raster;
 use super::relief::Relief;
@@ -100,6 +101,8 @@ pub struct Negative {
     pub shape: NegativeShape,
     /// How often it is drawn, beside 1 of most others.
     pub weight: u32,
+    /// How deep it is pressed, if not as any other shape.
+    pub pressed: Option<PressedLike>,
 }
 
 /// The shape of a [`Negative`].
@@ -114,7 +117,7 @@ pub enum NegativeShape {
 impl Negative {
     /// One and the same shape.
     pub fn of(name: String, relief: Relief) -> Self {
-        Self { name, shape: NegativeShape::Relief(Arc::new(relief)), weight: 1 }
+        Self { name, shape: NegativeShape::Relief(Arc::new(relief)), weight: 1, pressed: None }
     }
 
     fn sample(&self, rng: &mut Pcg64, snap: impl Fn(&mut Pcg64, &Kind) -> Snap) -> Distractor {
@@ -137,18 +140,18 @@ pub struct Own {
 }
 
 impl Own {
-    /// Draws one of the negatives, or none: then something else is drawn that is no snap. `snap` draws one of
-    /// this kind.
+    /// Draws one of the negatives with how it is pressed, or none: then something else is drawn that is no snap.
+    /// `snap` draws one of this kind.
     pub(super) fn negative(
         &self,
         rng: &mut Pcg64,
         snap: impl Fn(&mut Pcg64, &Kind) -> Snap,
-    ) -> Option<Distractor> {
+    ) -> Option<(Distractor, Option<&PressedLike>)> {
         if self.negatives.is_empty() || !(self.negatives_alone || rng.random_bool(0.5)) {
             return None;
         }
         let negative = self.negatives.choose_weighted(rng, |negative| negative.weight).ok()?;
-        Some(negative.sample(rng, snap))
+        Some((negative.sample(rng, snap), negative.pressed.as_ref()))
     }
 }
 
@@ -195,12 +198,12 @@ impl Scene {
         };
         let count = if rng.random_bool(touched) { rng.random_range(1..=3) } else { 0 };
         for _ in 0..count {
-            let part = match own.negative(rng, Snap::sample) {
+            let (part, pressed) = match own.negative(rng, Snap::sample) {
                 Some(negative) => negative,
-                None if mix == Mix::None && rng.random_bool(0.3) => Distractor::ball(rng),
-                None => Distractor::sample(rng),
+                None if mix == Mix::None && rng.random_bool(0.3) => (Distractor::ball(rng), None),
+                None => (Distractor::sample(rng), None),
             };
-            scene.add_distractor(rng, part);
+            scene.add_distractor(rng, part, pressed);
         }
         scene
     }
@@ -235,7 +238,7 @@ impl Scene {
         }
     }
 
-    fn add_distractor(&mut self, rng: &mut Pcg64, part: Distractor) {
+    fn add_distractor(&mut self, rng: &mut Pcg64, part: Distractor, pressed: Option<&PressedLike>) {
         let half = part.half_size();
         for _ in 0..30 {
             let center_mm = match half {
@@ -256,7 +259,10 @@ impl Scene {
                 center_mm,
                 yaw,
                 tilt: sample_tilt(rng, if half.is_some() { 2.0 } else { 0.8 }),
-                depth_mm: rng.random_range(0.08..1.0),
+                depth_mm: match pressed {
+                    Some(pressed) => pressed.sample_depth(rng),
+                    None => rng.random_range(0.08..1.0),
+                },
             };
             let clear = |center: [f64; 2], reach: f64| {
                 let [u, v] = placed.local(center[0], center[1]);

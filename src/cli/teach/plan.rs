@@ -150,6 +150,7 @@ mod tests {
             name: kind.name().to_owned(),
             shape: NegativeShape::Snap(kind),
             weight: 1,
+            pressed: None,
         };
         let own =
             Own { classes: vec![Kind::A], negatives: vec![negative(Kind::B)], ..Own::default() };

@@ -47,21 +47,43 @@ impl Relief {
 
     /// Whether another part, turned and moved, looks the same to presses of at most `depth_mm`.
     pub fn looks_like(&self, other: &Self, depth_mm: f64) -> bool {
-        let [one, other] = [self, other].map(|relief| Shape::new(relief, depth_mm));
-        // From turn to turn the outermost point moves by a pixel.
-        let turns = (TAU * one.reach.max(other.reach) / BESIDE_MM).ceil().max(16.0);
-        (0..turns as usize).any(|turn| {
-            let angle = turn as f64 / turns * TAU;
-            one.covers(&other, angle) && other.covers(&one, -angle)
-        })
+        are_alike(&[self, other].map(|relief| Shape::new(relief, depth_mm)))
     }
+
+    /// Depth in millimetres from which presses tell it from another part: `None` where those of `most_mm` do not.
+    pub fn told_apart_mm(&self, other: &Self, most_mm: f64) -> Option<f64> {
+        let mut shapes = [self, other].map(|relief| Shape::new(relief, most_mm));
+        let mut are_alike = |depth_mm| {
+            shapes.iter_mut().for_each(|shape| shape.press(depth_mm));
+            are_alike(&shapes)
+        };
+        if are_alike(most_mm) {
+            return None;
+        }
+        let (mut alike, mut apart) = (0.0, most_mm);
+        while apart - alike > ALIKE_MM {
+            let middle = (alike + apart) / 2.0;
+            *(if are_alike(middle) { &mut alike } else { &mut apart }) = middle;
+        }
+        Some(apart)
+    }
+}
+
+/// Whether two shapes, turned and moved, look the same.
+fn are_alike([one, other]: &[Shape; 2]) -> bool {
+    // From turn to turn the outermost point moves by a pixel.
+    let turns = (TAU * one.reach.max(other.reach) / BESIDE_MM).ceil().max(16.0);
+    (0..turns as usize).any(|turn| {
+        let angle = turn as f64 / turns * TAU;
+        one.covers(other, angle) && other.covers(one, -angle)
+    })
 }
 
 /// What a press to some depth sees of a relief.
 struct Shape<'a> {
     relief: &'a Relief,
     depth: f32,
-    /// The least and the greatest height near each cell of the walls' grid.
+    /// The least and the greatest height near each cell of the walls' grid, whatever the depth.
     low: Vec<f32>,
     high: Vec<f32>,
     /// Mean of the places seen, weighted by height over the depth.
@@ -75,33 +97,42 @@ struct Shape<'a> {
 impl<'a> Shape<'a> {
     fn new(relief: &'a Relief, depth_mm: f64) -> Self {
         let walls = &relief.walls;
-        // Some hundredths at least, or nothing is seen.
-        let depth = depth_mm.max(2.0 * ALIKE_MM) as f32;
-        let heights: Vec<f32> = walls.heights.iter().map(|h| h.max(-depth)).collect();
-        // At least two cells: outlines lie between them, and turned ones between others.
-        let radius = ((BESIDE_MM / walls.spacing_mm).ceil() as usize).max(2);
         let [columns, _] = walls.cells;
+        let radius = radius(walls.spacing_mm);
         let near = |pick: fn(f32, f32) -> f32| {
-            let lines = window(&heights, columns, 1, radius, pick);
+            let lines = window(&walls.heights, columns, 1, radius, pick);
             window(&lines, columns, columns, radius, pick)
         };
         let (low, high) = (near(f32::min), near(f32::max));
-        let seen = || (0..heights.len()).filter(|&at| heights[at] > -depth);
+        let (center, points) = (DVec2::ZERO, Vec::new());
+        let mut shape = Self { relief, depth: 0.0, low, high, center, reach: 0.0, points };
+        shape.press(depth_mm);
+        shape
+    }
+
+    /// Presses it to another depth.
+    fn press(&mut self, depth_mm: f64) {
+        let walls = &self.relief.walls;
+        // Some hundredths at least, or nothing is seen.
+        self.depth = depth_mm.max(2.0 * ALIKE_MM) as f32;
+        let (heights, [columns, _]) = (&walls.heights, walls.cells);
+        let seen = || (0..heights.len()).filter(|&at| heights[at] > -self.depth);
         let (mut sum, mut center) = (0.0, DVec2::ZERO);
         for at in seen() {
-            let weight = f64::from(heights[at] + depth);
+            let weight = f64::from(heights[at] + self.depth);
             sum += weight;
             center += weight * DVec2::from_array(walls.position(at));
         }
         center /= sum;
         // No two neighbours say much more than one: each says what is near it.
+        let radius = radius(walls.spacing_mm);
         let grid = seen().filter(|at| (at % columns + at / columns) % radius == 0);
         let points: Vec<_> =
             grid.map(|at| (DVec2::from_array(walls.position(at)) - center, heights[at])).collect();
-        let reach = points.iter().map(|(point, _)| point.length()).fold(0.0, f64::max);
+        self.center = center;
+        self.reach = points.iter().map(|(point, _)| point.length()).fold(0.0, f64::max);
         // A prime that is no divisor of so few points: every one comes once.
-        let jumped = (0..points.len()).map(|i| points[i * 1_000_003 % points.len()]).collect();
-        Self { relief, depth, low, high, center, reach, points: jumped }
+        self.points = (0..points.len()).map(|i| points[i * 1_000_003 % points.len()]).collect();
     }
 
     /// Whether every place of `other` turned by an angle has a height as this one has near it.
@@ -115,10 +146,18 @@ impl<'a> Shape<'a> {
                 (at >= 0.0 && at < walls.cells[axis] as f64).then_some(at as usize)
             };
             let near = cell(0).zip(cell(1)).map(|(column, row)| row * walls.cells[0] + column);
-            let [low, high] = near.map_or([-self.depth; 2], |at| [self.low[at], self.high[at]]);
+            let [low, high] = near
+                .map_or([-self.depth; 2], |at| [self.low[at], self.high[at]])
+                .map(|height| height.max(-self.depth));
             (low - ALIKE_MM as f32..=high + ALIKE_MM as f32).contains(height)
         })
     }
+}
+
+/// How many cells beside a place look like it: two at least, for outlines lie between them, and turned ones between
+/// others.
+fn radius(spacing_mm: f64) -> usize {
+    ((BESIDE_MM / spacing_mm).ceil() as usize).max(2)
 }
 
 /// Of each cell the least, or the greatest, of those at most `radius` steps before and behind it.

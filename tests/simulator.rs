@@ -1706,6 +1706,25 @@ fn a_part_s_negatives_can_be_had_alone() {
 }
 
 /// `simulate --preview` of parts in this folder.
+#[test]
+fn the_papers_sets_stay_as_they_are() {
+    use sha2::{Digest, Sha256};
+
+    let folder = program::folder();
+    let paper = ["simulate", "--paper", "--out", "paper", "--count", "1"];
+    program::run(folder.path(), &paper).expect(0);
+    let digest = |set: &str| {
+        let file = folder.path().join("paper").join(set).join("images/000000.png");
+        let pixels = image::open(file).expect("a picture").into_rgb8().into_raw();
+        let digest = Sha256::digest(pixels);
+        digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect::<String>()
+    };
+    assert_eq!(["a", "b"].map(digest), ["3bf7887115e19834", "7a76edcca7576bc7"]);
+    // Nothing about them can be chosen but how many.
+    let chosen = [&paper[..], &["--seed", "1"]].concat();
+    program::run(folder.path(), &chosen).expect(2).tells("cannot be used with '--seed <S>'");
+}
+
 fn preview(folder: &std::path::Path, args: &[&str]) -> program::Ran {
     program::command(folder).args(["simulate"]).args(args).output().expect("the program").into()
 }

@@ -36,13 +36,20 @@ pub(super) struct Args {
 
     /// Number of pictures.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    #[arg(allow_negative_numbers = true, required_unless_present = "preview")]
+    #[arg(allow_negative_numbers = true, required_unless_present_any = ["preview", "paper"])]
     count: Option<u32>,
 
     /// Seed of the data set, or of the presses of --preview.
     #[arg(long, value_name = "S")]
-    #[arg(allow_negative_numbers = true, required_unless_present = "preview")]
+    #[arg(allow_negative_numbers = true, required_unless_present_any = ["preview", "paper"])]
     seed: Option<u64>,
+
+    /// Draw the two sets of the paper's experiments, DIR/a and DIR/b: 1000 pictures of each snap, by seeds that are
+    /// fixed, or the first N of them. No weights here have learnt from them.
+    #[arg(long, requires = "out", conflicts_with_all = [
+        "seed", "preview", "kind", "conditions", "press", "sensor", "part", "negative", "look_alike", "force",
+    ])]
+    paper: bool,
 
     /// Write one sheet (PNG) instead of a data set: of each --part what is seen of it from the gel, where its 0°
     /// is, its heights in millimetres, and six presses with their boxes and directions.
@@ -160,7 +167,20 @@ pub(super) fn drawable(text: &str) -> Result<Sensor, String> {
     }
 }
 
+/// The sets of the paper's experiments: their folders, what they show, their seeds.
+const PAPER: [(&str, Mix, u64); 2] = [("a", Mix::A, 47301), ("b", Mix::B, 47302)];
+/// Pictures of each.
+const PAPER_COUNT: u32 = 1000;
+
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
+    if let (true, Some(out)) = (args.paper, &args.out) {
+        let count = args.count.unwrap_or(PAPER_COUNT) as usize;
+        for (name, mix, seed) in PAPER {
+            let request = Request { mix, ..Request::default() };
+            draw(&Settings { out: out.join(name), count, seed, request })?;
+        }
+        return Ok(Exit::Done);
+    }
     let mut own = parts::own(&args.part, &args.negative, &args.cad)?;
     let (out, count, seed) = match (args.preview, args.out, args.count, args.seed) {
         (Some(sheet), _, _, seed) => {
@@ -211,10 +231,15 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     }
     let request =
         Request { mix: kind, conditions, part: look_alike, forced: force, sensor, press, own };
-    let settings = Settings { out, count: count as usize, seed, request };
-    let bar = output::bar(count.into(), "{msg} {bar:40} {pos}/{len} pictures, {eta} left");
+    draw(&Settings { out, count: count as usize, seed, request })?;
+    Ok(Exit::Done)
+}
+
+/// Draws a data set and tells what came of it.
+fn draw(settings: &Settings) -> Result<(), Failure> {
+    let bar = output::bar(settings.count as u64, "{msg} {bar:40} {pos}/{len} pictures, {eta} left");
     let rendering = Once::new();
-    let result = dataset::simulate(&settings, &|Progress { step, done, all }| {
+    let result = dataset::simulate(settings, &|Progress { step, done, all }| {
         match step {
             Step::Check => bar.set_message("checking"),
             // The time left is of this step alone.
@@ -238,7 +263,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         summary.rendered,
         output::count(summary.snaps, "snap")
     ));
-    Ok(Exit::Done)
+    Ok(())
 }
 
 /// The kind of look-alike of this name; one of a part's own is left alone in `own`.

@@ -27,7 +27,7 @@ fi
 python=$work/bin/python
 started=$SECONDS
 "$work/bin/mypy" smr_gpu_train
-for test in labels pictures model parts pool other_renderers convert onnx fit guide experiments; do
+for test in labels pictures model parts pool other_renderers convert onnx fit guide experiments installation; do
     echo "== $test"
     "$python" "tests/test_$test.py"
 done

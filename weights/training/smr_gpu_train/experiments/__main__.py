@@ -23,6 +23,7 @@ def parser() -> argparse.ArgumentParser:
         "status": "print which runs are complete, and what is left",
         "evaluate": "find the snaps of the test sets by the complete runs",
         "tables": "write OUT/results.json and OUT/tables.md",
+        "install": "write OUT/installation.md and its two figures: how often a simulated assembly closes",
         "time": f"time {TIMED} steps of each network",
     }.items():
         command = commands.add_parser(name, help=text)
@@ -36,9 +37,18 @@ def parser() -> argparse.ArgumentParser:
             command.add_argument("--smr-gpu", type=Path, required=True, help="the program")
         if name in ("run", "evaluate"):
             command.add_argument("--yolo", type=Path, help="the `yolo` program of an environment with ultralytics; without it YOLO's runs are left out")
+        if name == "install":
+            command.add_argument("--detections", type=titled, metavar="NAME=FILE", action="append", default=[], help="what `smr-gpu detect --json` printed of the plan's sets of installation, as a method of this name")
         if name == "tables":
             command.add_argument("--resamples", type=WHOLE, default=1000)
     return top
+
+
+def titled(text: str) -> tuple[str, Path]:
+    name, equals, file = text.partition("=")
+    if not (name and equals and file):
+        raise argparse.ArgumentTypeError(f"expected NAME=FILE, got {text}")
+    return name, Path(file)
 
 
 def sets(plan: Plan, data: Path, program: Path) -> None:
@@ -102,6 +112,10 @@ def command(argv: list[str] | None) -> int:
         for run in runs:
             if runner.Progress.load(args.out / run.name).complete:
                 tables.detections(plan, run, args.data, args.out, args.yolo)
+    elif args.command == "install":
+        from . import installation
+
+        installation.write(args, plan)
     else:
         tables.write(args, plan)
     return 0

@@ -10,13 +10,13 @@ from ..errors import Failure
 
 MODELS = ("smr", "faster", "fast", "yolo")
 BACKBONES = ("vgg16", "resnet34")
-USES = ("train", "val", "test", "negative")
+USES = ("train", "val", "test", "negative", "installation")
 FULL = "full"  # the row that the others are compared with
 
 
 @dataclass
 class Set:
-    """Simulated pictures: `smr-gpu simulate` with these arguments. `negative` ones show no snap."""
+    """Simulated pictures: `smr-gpu simulate` with these arguments. `negative` ones show no snap; those of `installation` are for Table III alone."""
 
     name: str
     use: str
@@ -76,6 +76,7 @@ class Plan:
     pose: bool = False  # as the paper's network: no direction, no stated deviations
     search: str = "quality"  # mode of selective search: fast or quality
     yolo_batch: int = 16
+    installation: list[str] = field(default_factory=list)  # sets of Table III
     inputs: list[int] = field(default_factory=list)  # sides at which the full network is evaluated too; it is trained for 320
     checkpoint_minutes: float = 4
 
@@ -119,6 +120,8 @@ def read(file: Path) -> Plan:
         raise Failure(f"{file}: expected a plan, got {error.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise Failure(f"{file}: expected a plan, got {type(error).__name__}: {error}") from None
+    for name in given.get("installation", ()):
+        _among(f"{file}: installation", name, [each.name for each in kept])
     names = [run.name for run in ordered]
     if len({*names}) < len(names):
         raise Failure(f"{file}: expected each run once, got one twice")

@@ -47,7 +47,7 @@ def _write(file: Path, content: Any) -> None:
 
 def detections(plan: Plan, run: Run, data: Path, out: Path, program: Path | None) -> None:
     """OUT/RUN/found-SET.json of each set, and OUT/RUN/cost.json; what is there of the same pictures stays."""
-    where, model, sets = out / run.name, None, plan.of_use("test", "negative")
+    where, model, sets = out / run.name, None, plan.of_use("test", "negative", "installation")
     wanted = [(each, SIDE) for each in sets] + [(each, side) for side in plan.inputs if run.row.name == FULL for each in sets if each.use == "test"]
     for each, side in wanted:
         file = where / (f"found-{each.name}.json" if side == SIDE else f"found-{each.name}@{side}.json")

@@ -1,0 +1,255 @@
+"""Table III: whether a robot that goes where a detector says closes the snap. The model is docs/results/installation.md."""
+
+import argparse
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest
+
+from ..errors import Failure
+from ..files import whole
+from ..pictures import Entry
+from .plan import Plan
+from .runner import CLASSES, Progress
+from .tables import of_set
+
+HOOK_MM, STUD_MM = (8.0, 4.0), 6.5
+CLEARANCE_MM, LEAD_IN_MM = 0.1, 0.4
+STIFFNESS, FORCE = 15.0, 6.0  # N/mm, N
+ARM_MM, CALIBRATION_MM, CALIBRATION_DEG, FIXTURE_DEG = 0.03, 0.05, 0.3, 1.0
+CONF = 0.5
+DRAWS = 500
+PAPER = (49, 50)
+TAKEN_UP_MM = min(LEAD_IN_MM, FORCE / STIFFNESS)
+
+
+@dataclass
+class Found:
+    """Detections of one picture; `yaw` in degrees, NaN where there is none, `deviations` of x and y in mm and of yaw in degrees, None where none are stated."""
+
+    boxes: np.ndarray  # [K, 4], pixels
+    scores: np.ndarray  # [K]
+    labels: np.ndarray  # [K], from 1
+    yaw: np.ndarray  # [K]
+    deviations: np.ndarray | None = None  # [K, 3]
+
+
+@dataclass
+class Trials:
+    """One a row."""
+
+    kind: np.ndarray  # A: 1, B: 2
+    taken: np.ndarray  # what it is taken for; 0: a miss
+    true_yaw: np.ndarray  # degrees, 0 of B
+    offset: np.ndarray  # [N, 2], mm, found less true; NaN of a miss
+    turn: np.ndarray  # degrees, found less true; NaN where the detector says none
+    score: np.ndarray  # 0 of a miss
+    deviations: np.ndarray  # [N, 3], NaN where none are stated
+
+
+def trials_of(pictures: Sequence[Entry], found: Sequence[Found]) -> Trials:
+    """Raises `Failure` where the numbers of pictures differ."""
+    if len(pictures) != len(found):
+        raise Failure(f"expected detections of {len(pictures)} pictures, got {len(found)}")
+    rows: list[tuple] = []
+    none = (math.nan,) * 3
+    for entry, each in zip(pictures, found):
+        centres = (each.boxes[:, :2] + each.boxes[:, 2:]) / 2
+        for box, label, yaw, is_whole in zip(entry.snaps.boxes, entry.snaps.labels, entry.snaps.yaw, entry.snaps.whole):
+            if not is_whole:
+                continue
+            inside = (each.scores >= CONF) & (centres >= box[:2]).all(axis=1) & (centres <= box[2:]).all(axis=1)
+            true_yaw = 0.0 if math.isnan(yaw) else math.degrees(yaw)
+            if not inside.any():
+                rows.append((label, 0, true_yaw, *none, 0.0, *none))
+                continue
+            best = int(np.flatnonzero(inside)[each.scores[inside].argmax()])
+            stated = none if each.deviations is None else tuple(each.deviations[best])
+            offset = (centres[best] - (box[:2] + box[2:]) / 2) * entry.mm_per_pixel
+            turn = (each.yaw[best] - true_yaw + 180) % 360 - 180
+            rows.append((label, each.labels[best], true_yaw, *offset, turn, each.scores[best], *stated))
+    table = np.array(rows, float).reshape(-1, 10)
+    return Trials(table[:, 0].astype(int), table[:, 1].astype(int), table[:, 2], table[:, 3:5], table[:, 5], table[:, 6], table[:, 7:])
+
+
+def needed(kind: np.ndarray, true_yaw: np.ndarray, offset: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """The least play `r` in mm at which it closes, of offsets [..., 2] in mm and turns in degrees."""
+    length, width = HOOK_MM
+    angle, off = np.radians(true_yaw), np.radians(turn)
+    along = np.abs(offset[..., 0] * np.cos(angle) + offset[..., 1] * np.sin(angle))
+    across = np.abs(offset[..., 1] * np.cos(angle) - offset[..., 0] * np.sin(angle))
+    sin, cos = np.abs(np.sin(off)), np.cos(off)
+    hook = np.maximum(along + (length * cos + width * sin - length) / 2, across + (length * sin + width * cos - width) / 2)
+    return np.where(kind == 1, hook, np.hypot(offset[..., 0], offset[..., 1]))
+
+
+def arm(rng: np.random.Generator, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of arm and calibration: [..., 2] in mm, and in degrees."""
+    return rng.normal(0, math.hypot(ARM_MM, CALIBRATION_MM), (*shape, 2)), rng.normal(0, CALIBRATION_DEG, shape)
+
+
+def least_play(trials: Trials, seed: int = 1) -> np.ndarray:
+    """Of each trial the least play in mm at which it closes, infinite of a miss and of a confusion. The draws are the same for all detectors."""
+    rng = np.random.default_rng(seed)
+    offset, turn = arm(rng, trials.kind.shape)
+    fixture = rng.normal(0, FIXTURE_DEG, trials.kind.shape)
+    play = needed(trials.kind, trials.true_yaw, trials.offset + offset, turn + np.where(np.isnan(trials.turn), fixture, trials.turn))
+    return np.where(trials.taken == trials.kind, play, np.inf)
+
+
+def likely(trials: Trials, play: float, seed: int = 2) -> np.ndarray:
+    """How likely each trial closes, by what the robot knows: kind and yaw as found, and the deviations that the detector states. 0 where nothing is found."""
+    rng = np.random.default_rng(seed)
+    offset, turn = arm(rng, (DRAWS,))
+    own = rng.normal(0, 1, (DRAWS, 3))
+    stated = trials.deviations
+    yaw = np.where(np.isnan(stated[:, 2]), 0, stated[:, 2])
+    where = own[None, :, :2] * stated[:, None, :2] + offset
+    turns = own[None, :, 2] * yaw[:, None] + turn
+    known = trials.true_yaw + np.nan_to_num(trials.turn)
+    closes = needed(trials.taken[:, None], known[:, None], where, turns) <= play
+    return np.where(trials.taken == 0, 0, closes.mean(axis=1))
+
+
+def exact(successes: int, trials: int) -> tuple[float, float, float]:
+    """A share with its 95 % interval, Clopper and Pearson's."""
+    interval = binomtest(successes, trials).proportion_ci(method="exact")
+    return successes / trials, float(interval.low), float(interval.high)
+
+
+def refusals(play: np.ndarray, order: np.ndarray, at: float) -> tuple[np.ndarray, np.ndarray]:
+    """Share refused, and the share of the others that close with play `at`, when the trials of the lowest `order` are refused one by one. Trials of one value are refused together."""
+    best = np.argsort(-order, kind="stable")
+    closed = np.cumsum(play[best] <= at)
+    last = np.append(np.diff(order[best]) != 0, True)  # of those with the same value
+    tried = np.arange(1, len(best) + 1)[last]
+    return 1 - tried / len(best), closed[last] / tried
+
+
+def of_json(file: Path, pictures: Sequence[tuple[str, Entry]]) -> list[Found]:
+    """What `smr-gpu detect --json` printed of the pictures of these sets, in their order."""
+    try:
+        lines = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+        kept = {(Path(line["file"]).parts[-3], Path(line["file"]).name): line["detections"] for line in lines}
+        return [_found(kept[name, entry.path.name]) for name, entry in pictures]
+    except OSError as error:
+        raise Failure(f"{file}: {error.strerror}") from None
+    except (ValueError, KeyError, IndexError) as error:
+        raise Failure(f"{file}: expected what `smr-gpu detect --json` prints of all pictures, got {type(error).__name__}: {error}") from None
+
+
+def _found(detections: list[dict[str, Any]]) -> Found:
+    def column(read: Any, width: tuple[int, ...] = ()) -> np.ndarray:
+        return np.array([read(each) for each in detections], float).reshape(len(detections), *width)
+
+    def number(value: float | None) -> float:
+        return math.nan if value is None else value
+
+    boxes, scores = column(lambda each: each["box"], (4,)), column(lambda each: each["score"])
+    labels = column(lambda each: CLASSES.index(each["class"]) + 1).astype(int)
+    stated = column(lambda each: [*map(number, each["center_std_mm"] or [None, None]), number(each["yaw_std_deg"])], (3,))
+    return Found(boxes, scores, labels, column(lambda each: number(each["yaw_deg"])), stated)
+
+
+def of_run(where: Path, names: Sequence[str]) -> list[Found] | None:
+    """What a run found in the pictures of these sets, as tables.py keeps it."""
+    files = [where / f"found-{name}.json" for name in names]
+    if not all(file.exists() for file in files):
+        return None
+    kept = [one for file in files for one in json.loads(file.read_text(encoding="utf-8"))["found"]]
+    return [Found(np.array(boxes, float).reshape(-1, 4), np.array(scores, float), np.array(labels, int), np.full(len(scores), math.nan)) for boxes, scores, labels in kept]
+
+
+def percent(share: tuple[float, float, float]) -> str:
+    value, low, high = (f"{100 * each:.1f}" for each in share)
+    return f"{value} [{low}, {high}]"
+
+
+def markdown(methods: dict[str, Trials]) -> str:
+    lines = ["| | snap | trials | misses | confusions | closed, %: without a lead-in | with it | with it, the tenth refused that it trusts least |", "|---|---|---|---|---|---|---|---|"]
+    for name, trials in methods.items():
+        play = least_play(trials)
+        for label, kind in enumerate(CLASSES, start=1):
+            own = trials.kind == label
+            count = int(own.sum())
+            if not count:
+                continue
+            bare, eased = CLEARANCE_MM, CLEARANCE_MM + TAKEN_UP_MM
+            shares = [percent(exact(int((play[own] <= at).sum()), count)) for at in (bare, eased)]
+            trust = trusted(trials, eased)[own]
+            kept = np.argsort(-trust, kind="stable")[: count - count // 10]
+            shares.append(percent(exact(int((play[own][kept] <= eased).sum()), len(kept))))
+            missed, confused = (trials.taken[own] == 0).sum(), ((trials.taken[own] != label) & (trials.taken[own] != 0)).sum()
+            lines.append(f"| {name} | {kind} | {count} | {missed} | {confused} | {' | '.join(shares)} |")
+    lines.append(f"| the paper's SMR-Net, real | both | {PAPER[1]} | – | – | – | {percent(exact(*PAPER))} | – |")
+    return "\n".join(lines) + "\n"
+
+
+def trusted(trials: Trials, play: float) -> np.ndarray:
+    """By what a robot would refuse: how likely it closes where deviations are stated, else the score."""
+    return trials.score if np.isnan(trials.deviations[:, 0]).all() else likely(trials, play)
+
+
+def charts(methods: dict[str, Trials], clearance: Path, refused: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("agg")
+    from matplotlib import pyplot
+
+    at = np.linspace(0, 0.6, 121)
+    figure, axes = pyplot.subplots(1, len(CLASSES), figsize=(11, 4.6), sharey=True, layout="constrained")
+    _, low, high = exact(*PAPER)
+    for label, (kind, axis) in enumerate(zip(CLASSES, axes), start=1):
+        axis.axhspan(100 * low, 100 * high, color="0.9", label="the paper's 49 of 50, real: 95 % interval")
+        for i, (name, trials) in enumerate(methods.items()):
+            play = least_play(trials)[trials.kind == label]
+            for taken_up, style in ((TAKEN_UP_MM, "-"), (0.0, "--")):
+                axis.plot(at, [100 * np.mean(play <= each + taken_up) for each in at], style, color=f"C{i}", label=name if taken_up else None)
+        axis.axvline(CLEARANCE_MM, color="0.6", linewidth=0.8)
+        axis.set(title=f"snap {kind}", xlabel="clearance on each side, mm", ylim=(0, 101), xlim=(0, at[-1]))
+    axes[0].set_ylabel("closed, %   (solid: with a lead-in, dashed: without)")
+    axes[-1].legend(loc="lower right", fontsize=8)
+    _saved(figure, clearance)
+    figure, axis = pyplot.subplots(figsize=(6.4, 4.6), layout="constrained")
+    for i, (name, trials) in enumerate(methods.items()):
+        play, eased = least_play(trials), CLEARANCE_MM
+        orders: dict[str, tuple[np.ndarray, str]] = {"score": (trials.score, "--")}
+        if not np.isnan(trials.deviations[:, 0]).all():
+            orders["stated deviations"] = (likely(trials, eased), "-")
+        for by, (order, style) in orders.items():
+            share, closed = refusals(play, order, eased)
+            axis.plot(100 * share, 100 * closed, style, color=f"C{i}", label=f"{name}, by {by}")
+    axis.set(xlabel="refused, %", ylabel=f"closed of the others, % ({CLEARANCE_MM} mm clearance, no lead-in)", xlim=(0, 60), ylim=(None, 101))
+    axis.legend(loc="lower right", fontsize=8)
+    _saved(figure, refused)
+
+
+def _saved(figure: Any, file: Path) -> None:
+    with whole(file) as part:
+        figure.savefig(part, dpi=110, format="png", metadata={"Software": None})
+
+
+def write(args: argparse.Namespace, plan: Plan) -> None:
+    """OUT/installation.md, installation.png and refusals.png, of each network's first complete run and of the files that are given."""
+    names = plan.installation
+    pictures = [(name, entry) for name in names for entry in of_set(args.data, name)]
+    entries = [entry for _, entry in pictures]
+    methods: dict[str, Trials] = {}
+    for title, file in args.detections:
+        methods[title] = trials_of(entries, of_json(file, pictures))
+    for run in plan.runs:
+        title = f"{run.row.title}, {run.network}" if run.row.model == "smr" else run.row.title
+        found = of_run(args.out / run.name, names) if Progress.load(args.out / run.name).complete else None
+        if found is not None and title not in methods:
+            methods[title] = trials_of(entries, found)
+    if not methods:
+        raise Failure(f"{args.out}: expected detections of a complete run in the sets {', '.join(names)}, or --detections, got none")
+    with whole(args.out / "installation.md") as part:
+        part.write_text(markdown(methods), encoding="utf-8")
+    charts(methods, args.out / "installation.png", args.out / "refusals.png")
+    print(f"{args.out / 'installation.md'}, installation.png, refusals.png: {len(methods)} methods")

@@ -351,7 +351,8 @@ impl Layout<'_> {
         // One's own negatives stand in for any kind, with a wall as often as a hook's arm would have one.
         let walled = part == Part::Arm && self.forced.wall.unwrap_or(walled);
         let tilt = sample_tilt(self.rng, if walled { 1.0 } else { 3.0 });
-        let cut = self.rng.random_bool(CUT);
+        // A part's negative that is cut may look like the part that is cut.
+        let cut = self.rng.random_bool(CUT) && pressed.is_none();
         for _ in 0..TRIES {
             let yaw = sample_yaw(self.rng);
             let center_mm = self.place(half, yaw, cut);

@@ -54,7 +54,7 @@ pub struct Derived {
     pub shape: Option<(Relief, f64)>,
 }
 
-/// How a part's negative is pressed: as deep as the part, but no less deep than what tells them apart.
+/// How a part's negative is pressed: as a whole, as deep as the part, but no less deep than what tells them apart.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PressedLike {
     /// The part.

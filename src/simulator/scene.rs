@@ -242,6 +242,11 @@ impl Scene {
         let half = part.half_size();
         for _ in 0..30 {
             let center_mm = match half {
+                // Where the gel's edge cuts it, it may look like the part that the edge cuts.
+                Some([a, b]) if pressed.is_some() => {
+                    let limit = (GEL_MM / 2.0 - a.hypot(b)).max(1.0);
+                    [0, 1].map(|_| rng.random_range(-limit..limit))
+                }
                 Some(_) => [rng.random_range(-20.0..20.0), rng.random_range(-20.0..20.0)],
                 // A plate stays in the outer part, or it would fill the picture.
                 None => {

@@ -291,6 +291,8 @@ fn small_config(variant: Variant) -> ModelConfig {
         anchor_sizes: vec![16.0, 32.0],
         anchor_ratios: vec![0.5, 1.0, 2.0],
         stride: if variant.msff { 8 } else { 16 },
+        // Faster R-CNN's head is torchvision's.
+        head: if variant == Variant::FASTER_RCNN { 1024 } else { 512 },
         variant,
         ..ModelConfig::large()
     }
@@ -299,7 +301,7 @@ fn small_config(variant: Variant) -> ModelConfig {
 /// Bounds checks change no bit of a whole detection, either.
 #[test]
 fn bounds_checks_change_no_bit() {
-    let full = Variant { safe: true, msff: true, rw: true };
+    let full = Variant::SMR_NET;
     let weights = Weights::random(small_config(full), 7);
     let wanted = Wanted::ALL;
     let network = Network::new(weights, [64; 2], wanted).expect("a network");
@@ -326,7 +328,7 @@ fn bounds_checks_change_no_bit() {
     }
 }
 
-/// Each of the paper's ablations, and the network without its deepest scale, runs the same on the
+/// Each of the paper's ablations, Faster R-CNN, and the network without its deepest scale run the same on the
 /// device, in the reference and in PyTorch (float64, see weights/training/variants.py). The weights
 /// are untrained, so their scores nearly tie and choices among them may fall either way: compared are
 /// the maps, and what becomes of the best proposal.
@@ -334,13 +336,14 @@ fn bounds_checks_change_no_bit() {
 fn every_variant_matches_its_reference_and_pytorch() {
     let bytes = std::fs::read(file("tests/fixtures/variants.safetensors")).expect("the fixture");
     let golden = safetensors::SafeTensors::deserialize(&bytes).expect("the fixture's tensors");
-    let full = Variant { safe: true, msff: true, rw: true };
+    let full = Variant::SMR_NET;
     let all = Wanted::ALL;
     let variants = [
         ("full", full, all),
         ("no-safe", Variant { safe: false, ..full }, all),
         ("no-msff", Variant { msff: false, ..full }, all),
         ("no-rw", Variant { rw: false, ..full }, all),
+        ("faster-rcnn", Variant::FASTER_RCNN, all),
         // Not the paper's: what is left out where the deepest scale hardly weighs.
         ("no-deepest", full, Wanted { deepest: false, ..all }),
     ];

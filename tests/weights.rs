@@ -61,7 +61,7 @@ fn parsed(config: &Json) -> ModelConfig {
     ModelConfig::parse(&config.to_string()).expect("a configuration")
 }
 
-const FULL: Variant = Variant { safe: true, msff: true, rw: true };
+const FULL: Variant = Variant::SMR_NET;
 
 type Shapes = Vec<(String, Vec<usize>)>;
 
@@ -128,6 +128,9 @@ fn state_dict(config: &ModelConfig) -> Shapes {
         backbone.push((format!("{name}.spatial.bn"), vec![1]));
     }
     let width = if variant.msff { fused } else { c4 };
+    if variant.rpn_conv {
+        biased.push(("rpn.conv".into(), vec![width, width, 3, 3]));
+    }
     biased.push(("rpn.cls".into(), vec![ANCHORS, width, 1, 1]));
     biased.push(("rpn.bbox".into(), vec![4 * ANCHORS, width, 1, 1]));
     biased.push(("roi_head.fc6".into(), vec![head, width * 7 * 7]));
@@ -207,13 +210,14 @@ fn network(bytes: &[u8]) -> smr_gpu::Result<Network> {
 #[test]
 fn a_file_of_every_variant_loads_and_runs() {
     let mut dicts = Vec::new();
-    for bits in 0..9 {
-        // Last the network that is narrow all over.
+    for bits in 0..10 {
+        // Last the network that is narrow all over, and Faster R-CNN.
         let config = match bits {
             8 => small(),
+            9 => config(Variant::FASTER_RCNN),
             _ => {
                 let [safe, msff, rw] = [1, 2, 4].map(|bit| bits & bit == 0);
-                config(Variant { safe, msff, rw })
+                config(Variant { safe, msff, rw, ..Variant::SMR_NET })
             }
         };
         let ModelConfig { variant, pose, .. } = parsed(&config);
@@ -236,6 +240,7 @@ fn a_file_of_every_variant_loads_and_runs() {
         assert_eq!(has("backbone.cbam1"), variant.safe, "{variant:?}");
         assert_eq!(has("fusion.branch1"), variant.msff, "{variant:?}");
         assert_eq!(has("reweight"), variant.msff && variant.rw, "{variant:?}");
+        assert_eq!(has("rpn.conv"), variant.rpn_conv, "{variant:?}");
 
         let (want, _) = graph.reference(&inputs, &keep).expect("the reference");
         let slot = Slot::of(support::gpu(), graph, &keep, ProgramOptions::default());
@@ -271,7 +276,7 @@ fn digest(mut dict: Shapes) -> u64 {
 }
 
 /// The number of tensors and their digest in PyTorch: `SmrNet(Config(…)).state_dict()` by variant.
-const STATE_DICTS: [(usize, u64); 9] = [
+const STATE_DICTS: [(usize, u64); 10] = [
     (289, 0x6a65_dd0e_b04d_3935),
     (244, 0x155a_fb7d_cea4_a142),
     (193, 0x45a8_5818_f5c0_7eca),
@@ -281,6 +286,7 @@ const STATE_DICTS: [(usize, u64); 9] = [
     (193, 0x45a8_5818_f5c0_7eca),
     (157, 0x8c79_44a6_df47_2587),
     (216, 0x608e_4fe0_f892_dab3),
+    (159, 0x1fa9_cbea_00e9_5549),
 ];
 
 #[test]

@@ -91,7 +91,8 @@ struct Format1 {
     variant: Variant,
 }
 
-/// The paper's ablations (its table of modules): each module on or off.
+/// What the network is made of: the paper's modules (its table of ablations), each on or off, and what a plain
+/// Faster R-CNN has in their place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Variant {
     /// SAFE-Net: attention in the backbone.
@@ -100,9 +101,17 @@ pub struct Variant {
     pub msff: bool,
     /// RW-Net: learned weights of the scales; without it concatenation and a 1×1 convolution.
     pub rw: bool,
+    /// The RPN's own 3×3 convolution, which MSFF-Net replaces.
+    #[serde(default)]
+    pub rpn_conv: bool,
 }
 
 impl Variant {
+    /// The paper's network.
+    pub const SMR_NET: Self = Self { safe: true, msff: true, rw: true, rpn_conv: false };
+    /// Faster R-CNN on conv4_x (Ren et al. 2015; He et al. 2016, appendix A), one of the paper's baselines.
+    pub const FASTER_RCNN: Self = Self { safe: false, msff: false, rw: false, rpn_conv: true };
+
     /// Whether the network can do without the deepest scale, since RW-Net weighs the others alone.
     pub fn leaves_deepest(self) -> bool {
         self.msff && self.rw
@@ -161,7 +170,7 @@ impl ModelConfig {
             anchor_sizes: vec![32.0, 48.0, 72.0],
             anchor_ratios: vec![0.5, 1.0, 2.0],
             stride: 8,
-            variant: Variant { safe: true, msff: true, rw: true },
+            variant: Variant::SMR_NET,
             stem: 64,
             channels: [64, 128, 256, 512],
             blocks: [3, 4, 6, 3],

@@ -1,7 +1,7 @@
 //! The region proposal network: where on the fused map there may be a snap.
 //!
 //! The fusion replaces the RPN's own 3×3 convolution, so class and box are 1×1 convolutions on the
-//! fused map. Order, box coding, clipping and limits follow torchvision.
+//! fused map; a plain Faster R-CNN has it. Order, box coding, clipping and limits follow torchvision.
 
 use crate::engine::graph::{Graph, TensorId};
 use crate::engine::ops::{Conv2d, DecodeProposals, GatherRows, Nms, TopK};
@@ -42,9 +42,16 @@ pub(super) fn rpn(
     let config = weights.config().clone();
     let anchors = config.cell_anchors();
     let (a, channels) = (anchors.len(), config.width());
+    let map = match config.variant.rpn_conv {
+        true => {
+            let op = Conv2d { padding: 1, relu: true, ..Conv2d::default() };
+            conv(graph, weights, "rpn.conv", op, [channels, channels, 3, 3], fused)?
+        }
+        false => fused,
+    };
     let head = Conv2d::default();
-    let scores = conv(graph, weights, "rpn.cls", head, [a, channels, 1, 1], fused)?;
-    let deltas = conv(graph, weights, "rpn.bbox", head, [4 * a, channels, 1, 1], fused)?;
+    let scores = conv(graph, weights, "rpn.cls", head, [a, channels, 1, 1], map)?;
+    let deltas = conv(graph, weights, "rpn.bbox", head, [4 * a, channels, 1, 1], map)?;
 
     graph.begin_stage("proposals");
     let candidates = TopK { k: CANDIDATES * wanted.most_proposals, count: false };

@@ -1,4 +1,4 @@
-"""Writes golden tensors of every ablation, and of the network without its deepest scale, on untrained weights, for the Rust tests.
+"""Writes golden tensors of every ablation, of Faster R-CNN and of the network without its deepest scale, on untrained weights, for the Rust tests.
 
 The weights and the picture are hashes, which src/smr/weights.rs and
 tests/stages.rs compute too, so the file holds outputs only. Computed in
@@ -7,6 +7,7 @@ head's rows only the best proposal's is kept.
 """
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,11 @@ import torch
 from safetensors.torch import save_file
 
 from smr_gpu_train.data import normalise, resize_square
-from smr_gpu_train.config import Config, Variant
+from smr_gpu_train.config import FASTER_RCNN, Config, Variant
 from smr_gpu_train.model import SmrNet
 
 SEED = 7
-VARIANTS = {"full": {}, "no-safe": {"safe": False}, "no-msff": {"msff": False}, "no-rw": {"rw": False}, "no-deepest": {}}
+VARIANTS = {"full": {}, "no-safe": {"safe": False}, "no-msff": {"msff": False}, "no-rw": {"rw": False}, "faster-rcnn": asdict(FASTER_RCNN), "no-deepest": {}}
 # Scales that are computed, where that is not all.
 SCALES = {"no-deepest": 2}
 STAGES = ("rpn.cls", "rpn.bbox", "proposals", "roi_head.pool", "roi_head.cls_score", "roi_head.bbox_pred")
@@ -59,7 +60,9 @@ def main() -> None:
     pixels, _, _ = resize_square(picture.astype(np.uint8).reshape(HEIGHT, WIDTH, 3), 64, torch.float64)
     stored = {}
     for label, off in VARIANTS.items():
-        config = Config(anchor_sizes=[16.0, 32.0], anchor_ratios=[0.5, 1.0, 2.0], variant=Variant(**off))
+        variant = Variant(**off)
+        # Faster R-CNN's head is torchvision's.
+        config = Config(anchor_sizes=[16.0, 32.0], anchor_ratios=[0.5, 1.0, 2.0], variant=variant, head=1024 if variant == FASTER_RCNN else 512)
         model = SmrNet(config)
         state = model.state_dict()
         model.load_state_dict({k: v if k.endswith("num_batches_tracked") else hashed(k, v.shape) for k, v in state.items()})

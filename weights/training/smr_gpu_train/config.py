@@ -8,11 +8,12 @@ from .errors import Failure
 
 @dataclass
 class Variant:
-    """The switches of the paper's ablations."""
+    """The switches of the paper's ablations, and what a plain Faster R-CNN has in place of MSFF-Net: the RPN's own convolution."""
 
     safe: bool = True
     msff: bool = True
     rw: bool = True
+    rpn_conv: bool = False
 
 
 @dataclass
@@ -65,6 +66,7 @@ class Config:
         return config
 
 
+FASTER_RCNN = Variant(safe=False, msff=False, rw=False, rpn_conv=True)  # on conv4_x
 # The two networks; what else a configuration holds follows from the data.
 NETWORKS: dict[str, dict[str, Any]] = {
     "large": {},

@@ -188,8 +188,12 @@ class Reweight(nn.Module):
 
 
 class Rpn(nn.Module):
-    def __init__(self, channels: int, anchors: int):
+    def __init__(self, channels: int, anchors: int, own: bool):
         super().__init__()
+        self.conv = nn.Conv2d(channels, channels, 3, padding=1) if own else None
+        if self.conv is not None:
+            nn.init.kaiming_normal_(self.conv.weight, nonlinearity="relu")
+            nn.init.zeros_(self.conv.bias)  # type: ignore[arg-type]
         self.cls = nn.Conv2d(channels, anchors, 1)
         self.bbox = nn.Conv2d(channels, 4 * anchors, 1)
         for layer in (self.cls, self.bbox):
@@ -247,7 +251,7 @@ class SmrNet(nn.Module):
             if config.variant.rw:
                 self.reweight = Reweight(config)
         self.cells = bx.cell_anchors(config.anchor_sizes, config.anchor_ratios)
-        self.rpn = Rpn(config.width, len(self.cells))
+        self.rpn = Rpn(config.width, len(self.cells), config.variant.rpn_conv)
         self.roi_head = RoiHead(config)
 
     def features(self, images: Tensor, stages: dict, scales: int = 3) -> Tensor:
@@ -268,8 +272,9 @@ class SmrNet(nn.Module):
 
     def rpn_heads(self, fused: Tensor, stages: dict) -> tuple[Tensor, Tensor, Tensor]:
         """Objectness logits [B, N], deltas [B, N, 4] and anchors [N, 4], in the order (y, x, anchor)."""
-        logits = stages["rpn.cls"] = self.rpn.cls(fused)
-        deltas = stages["rpn.bbox"] = self.rpn.bbox(fused)
+        seen = fused if self.rpn.conv is None else F.relu(self.rpn.conv(fused))
+        logits = stages["rpn.cls"] = self.rpn.cls(seen)
+        deltas = stages["rpn.bbox"] = self.rpn.bbox(seen)
         batch, count, height, width = logits.shape
         logits = logits.permute(0, 2, 3, 1).reshape(batch, -1)
         deltas = deltas.view(batch, count, 4, height, width).permute(0, 3, 4, 1, 2).reshape(batch, -1, 4)

@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from smr_gpu_train.errors import Failure
+from smr_gpu_train.experiments import charts
 from smr_gpu_train.experiments import installation as model
 from smr_gpu_train.experiments import plan
 from smr_gpu_train.pictures import Entry, Snaps
@@ -111,8 +113,14 @@ def tables_and_figures_are_written(root: Path) -> None:
     rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in model.markdown(methods).splitlines()]
     assert rows[2][:5] == ["one", "A", "2", "1", "0"] and rows[3][:5] == ["one", "B", "2", "1", "0"], rows
     assert rows[2][6] == "50.0 [1.3, 98.7]" and rows[-1][6] == "98.0 [89.4, 99.9]", rows
-    model.charts(methods, root / "clearance.png", root / "refused.png")
-    assert all((root / name).read_bytes().startswith(b"\x89PNG") for name in ("clearance.png", "refused.png"))
+    refused = {name: model.refusing(trials) for name, trials in methods.items()}
+    assert list(refused["one"]) == ["score", "stated deviations"]
+    charts.clearance({name: (trials.kind, model.least_play(trials)) for name, trials in methods.items()}, root / "clearance.png")
+    charts.refusals(refused, root / "refused.png")
+    charts.error_against_time({"one": (30.0, [0.9, 0.8, 0.95], [0.1, math.nan, math.nan])}, root / "time.png")
+    for name in ("clearance", "refused", "time"):
+        with Image.open(root / f"{name}.png") as drawn:
+            assert min(drawn.size) > 400 and len(drawn.convert("RGB").getcolors(1 << 20) or ()) > 10, name
     (root / "all.jsonl").write_text(lines[0])
     try:
         model.of_json(root / "all.jsonl", pictures)

@@ -24,7 +24,7 @@ STIFFNESS, FORCE = 15.0, 6.0  # N/mm, N
 ARM_MM, CALIBRATION_MM, CALIBRATION_DEG, FIXTURE_DEG = 0.03, 0.05, 0.3, 1.0
 CONF = 0.5
 DRAWS = 500
-PAPER = (49, 50)
+PAPER = (49, 50)  # of the paper's assemblies, real ones, that closed
 TAKEN_UP_MM = min(LEAD_IN_MM, FORCE / STIFFNESS)
 
 
@@ -190,52 +190,23 @@ def markdown(methods: dict[str, Trials]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def refusing(trials: Trials) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """`refusals` by the score, and by stated deviations where there are some, without a lead-in."""
+    orders = {"score": trials.score}
+    if not np.isnan(trials.deviations[:, 0]).all():
+        orders["stated deviations"] = likely(trials, CLEARANCE_MM)
+    return {by: refusals(least_play(trials), order, CLEARANCE_MM) for by, order in orders.items()}
+
+
 def trusted(trials: Trials, play: float) -> np.ndarray:
     """By what a robot would refuse: how likely it closes where deviations are stated, else the score."""
     return trials.score if np.isnan(trials.deviations[:, 0]).all() else likely(trials, play)
 
 
-def charts(methods: dict[str, Trials], clearance: Path, refused: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("agg")
-    from matplotlib import pyplot
-
-    at = np.linspace(0, 0.6, 121)
-    figure, axes = pyplot.subplots(1, len(CLASSES), figsize=(11, 4.6), sharey=True, layout="constrained")
-    _, low, high = exact(*PAPER)
-    for label, (kind, axis) in enumerate(zip(CLASSES, axes), start=1):
-        axis.axhspan(100 * low, 100 * high, color="0.9", label="the paper's 49 of 50, real: 95 % interval")
-        for i, (name, trials) in enumerate(methods.items()):
-            play = least_play(trials)[trials.kind == label]
-            for taken_up, style in ((TAKEN_UP_MM, "-"), (0.0, "--")):
-                axis.plot(at, [100 * np.mean(play <= each + taken_up) for each in at], style, color=f"C{i}", label=name if taken_up else None)
-        axis.axvline(CLEARANCE_MM, color="0.6", linewidth=0.8)
-        axis.set(title=f"snap {kind}", xlabel="clearance on each side, mm", ylim=(0, 101), xlim=(0, at[-1]))
-    axes[0].set_ylabel("closed, %   (solid: with a lead-in, dashed: without)")
-    axes[-1].legend(loc="lower right", fontsize=8)
-    _saved(figure, clearance)
-    figure, axis = pyplot.subplots(figsize=(6.4, 4.6), layout="constrained")
-    for i, (name, trials) in enumerate(methods.items()):
-        play, eased = least_play(trials), CLEARANCE_MM
-        orders: dict[str, tuple[np.ndarray, str]] = {"score": (trials.score, "--")}
-        if not np.isnan(trials.deviations[:, 0]).all():
-            orders["stated deviations"] = (likely(trials, eased), "-")
-        for by, (order, style) in orders.items():
-            share, closed = refusals(play, order, eased)
-            axis.plot(100 * share, 100 * closed, style, color=f"C{i}", label=f"{name}, by {by}")
-    axis.set(xlabel="refused, %", ylabel=f"closed of the others, % ({CLEARANCE_MM} mm clearance, no lead-in)", xlim=(0, 60), ylim=(None, 101))
-    axis.legend(loc="lower right", fontsize=8)
-    _saved(figure, refused)
-
-
-def _saved(figure: Any, file: Path) -> None:
-    with whole(file) as part:
-        figure.savefig(part, dpi=110, format="png", metadata={"Software": None})
-
-
 def write(args: argparse.Namespace, plan: Plan) -> None:
     """OUT/installation.md, installation.png and refusals.png, of each network's first complete run and of the files that are given."""
+    from . import charts
+
     names = plan.installation
     pictures = [(name, entry) for name in names for entry in of_set(args.data, name)]
     entries = [entry for _, entry in pictures]
@@ -251,5 +222,6 @@ def write(args: argparse.Namespace, plan: Plan) -> None:
         raise Failure(f"{args.out}: expected detections of a complete run in the sets {', '.join(names)}, or --detections, got none")
     with whole(args.out / "installation.md") as part:
         part.write_text(markdown(methods), encoding="utf-8")
-    charts(methods, args.out / "installation.png", args.out / "refusals.png")
+    charts.clearance({name: (trials.kind, least_play(trials)) for name, trials in methods.items()}, args.out / "installation.png")
+    charts.refusals({name: refusing(trials) for name, trials in methods.items()}, args.out / "refusals.png")
     print(f"{args.out / 'installation.md'}, installation.png, refusals.png: {len(methods)} methods")

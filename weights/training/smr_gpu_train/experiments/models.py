@@ -13,10 +13,10 @@ from torchvision import models as tv
 from torchvision import ops
 
 from .. import boxes as bx
-from ..config import ANCHOR_RATIOS, ANCHOR_SIZES, NETWORKS, Config, Variant
+from ..config import ANCHOR_RATIOS, ANCHOR_SIZES, FASTER_RCNN, NETWORKS, Config, Variant
 from ..data import network_input, normalise
 from ..losses import detection_losses, roi_loss, sample_rois
-from ..model import Cbam, Heads, RoiHead, Rpn, SmrNet, autocast, classify
+from ..model import Backbone, Cbam, Heads, SmrNet, autocast, classify
 from ..pictures import Entry
 from ..truth import Truth
 from .plan import Row
@@ -44,33 +44,23 @@ class Ablated(SmrNet):
 
 
 class Faster(SmrNet):
-    """Faster R-CNN (Ren et al. 2015) on conv5_3 of VGG-16 or conv4_x of ResNet-34, stride 16 both.
+    """Faster R-CNN (Ren et al. 2015) on conv4_x of ResNet-34, which is a variant of SMR-Net, or on conv5_3 of VGG-16; stride 16 both.
 
-    Backbones are torchvision's, VGG-16 with batch norm, without which it hardly learns from random weights. Anchors, input,
-    losses, RoIAlign, the two layers of the head and what follows them are SMR-Net's; the RPN has its own 3 x 3 here.
+    VGG-16 is torchvision's with batch norm, without which it hardly learns from random weights. Anchors, input, losses,
+    RoIAlign and what follows it are SMR-Net's.
     """
 
     def __init__(self, config: Config, backbone: str):
-        nn.Module.__init__(self)  # of SmrNet what it does, not what it is made of
-        self.config = config
-        self.cells = bx.cell_anchors(config.anchor_sizes, config.anchor_ratios)
+        super().__init__(config)
         if backbone == "vgg16":
-            self.body = tv.vgg16_bn(weights=None).features[:-1]
-        else:
-            net = tv.resnet34(weights=None, zero_init_residual=True)
-            self.body = nn.Sequential(net.conv1, net.bn1, net.relu, net.maxpool, net.layer1, net.layer2, net.layer3)
-        self.conv = nn.Conv2d(config.width, config.width, 3, padding=1)
-        nn.init.kaiming_normal_(self.conv.weight, nonlinearity="relu")
-        self.rpn = Rpn(config.width, len(self.cells))
-        self.roi_head = RoiHead(config)
+            self.backbone = tv.vgg16_bn(weights=None).features[:-1]
 
     def features(self, images: Tensor, stages: dict, scales: int = 3) -> Tensor:
-        fused: Tensor = self.body(images)
+        if isinstance(self.backbone, Backbone):
+            return super().features(images, stages, scales)
+        fused: Tensor = self.backbone(images)
         stages["fusion.fused"] = fused
         return fused
-
-    def rpn_heads(self, fused: Tensor, stages: dict) -> tuple[Tensor, Tensor, Tensor]:
-        return super().rpn_heads(F.relu(self.conv(fused)), stages)
 
 
 class Fast(Faster):
@@ -78,7 +68,7 @@ class Fast(Faster):
 
     def __init__(self, config: Config, backbone: str):
         super().__init__(config, backbone)
-        del self.rpn, self.conv
+        del self.rpn
 
     def rpn_heads(self, fused: Tensor, stages: dict) -> tuple[Tensor, Tensor, Tensor]:
         raise NotImplementedError("Fast R-CNN has no RPN")
@@ -106,15 +96,15 @@ def configuration(row: Row, network: str, mean: list[float], std: list[float], p
         return Config(**own, variant=Variant(row.safe, row.msff, row.rw), pose=pose, **NETWORKS[network])  # type: ignore[arg-type]
     # Without MSFF-Net stride and width are those of the third stage.
     channels = [64, 128, 512, 512] if row.backbone == "vgg16" else [64, 128, 256, 512]
-    return Config(**own, variant=Variant(False, False, False), channels=channels, head=HEAD)  # type: ignore[arg-type]
+    return Config(**own, variant=FASTER_RCNN, channels=channels, head=HEAD)  # type: ignore[arg-type]
 
 
 def maker(row: Row) -> Callable[[Config], SmrNet]:
-    if row.model == "faster":
-        return partial(Faster, backbone=row.backbone)
-    if row.model == "fast":
-        return partial(Fast, backbone=row.backbone)
-    return SmrNet if row.paper_switches_alone else partial(Ablated, dilation=row.dilation, every_block=row.every_block)
+    if row.in_a_weight_file:
+        return SmrNet
+    if row.model in ("faster", "fast"):
+        return partial({"faster": Faster, "fast": Fast}[row.model], backbone=row.backbone)
+    return partial(Ablated, dilation=row.dilation, every_block=row.every_block)
 
 
 def losses(model: SmrNet, images: Tensor, truth: Truth, proposals: Proposals | None) -> dict[str, Tensor]:

@@ -45,8 +45,10 @@ class Row:
     size: str = "n"  # of yolo
 
     @property
-    def paper_switches_alone(self) -> bool:
-        """Whether a weight file can say all that this network is."""
+    def in_a_weight_file(self) -> bool:
+        """Whether one can say all that this network is."""
+        if self.model == "faster":
+            return self.backbone == "resnet34"
         return self.model == "smr" and self.dilation and not self.every_block
 
 

@@ -160,7 +160,7 @@ class Training:
         model.eval()
         with whole(self.out / "model.pt", RuntimeError) as part:
             torch.save({"config": json.dumps(self.config.to_dict()), "state": model.state_dict()}, part)
-        if self.run.row.paper_switches_alone:
+        if self.run.row.in_a_weight_file:
             weightfile.save(model, self.out / "weights.safetensors")
         self.now.complete = True
         self.now.save(self.out)

@@ -193,9 +193,26 @@ def markdown(plan: Plan, answer: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def timed(plan: Plan, answer: dict[str, Any]) -> dict[str, tuple[float, list[float], list[float]]]:
+    """Each network's milliseconds, those of its proposals included, with its mean IoU and centre error on the first group of test sets."""
+    first = plan.of_use("test")[0].group
+    rows = {}
+    for key, entry in answer["groups"][first].items():
+        paid = answer["costs"].get(key)
+        if paid and paid.get("ms") is not None:
+            figures = entry["figures"]["all"]
+            row = plan.rows[entry["row"]]
+            name = f"{row.title}, {entry['network']}" if row.model == "smr" else row.title
+            rows[name] = (paid["ms"] + (paid.get("proposals_ms") or 0), figures["iou"], figures["centre_mm"])
+    return rows
+
+
 def write(args: argparse.Namespace, plan: Plan) -> None:
+    from . import charts
+
     answer = results(plan, args.data, args.out, args.resamples)
     _write(args.out / "results.json", answer)
+    charts.error_against_time(timed(plan, answer), args.out / "error-against-time.png")
     with whole(args.out / "tables.md") as part:
         part.write_text(markdown(plan, answer), encoding="utf-8")
-    print(f"{args.out / 'results.json'}, {args.out / 'tables.md'}: {len(answer['runs'])} of {len(plan.runs)} runs")
+    print(f"{args.out / 'results.json'}, tables.md, error-against-time.png: {len(answer['runs'])} of {len(plan.runs)} runs")

@@ -131,7 +131,8 @@ fn what_is_taught_is_written_with_a_report() {
     let calls = user.calls();
     let [estimate, fit, calibrate] = &calls[..] else { panic!("{calls:?}") };
     assert!(estimate.ends_with("--estimate"), "{estimate}");
-    let folders = ["plain", "wide", "strong", "plain-none", "wide-none"];
+    let folders =
+        ["plain", "wide", "strong", "plain-other", "wide-other", "plain-alike", "wide-alike"];
     let data = folders.map(|name| format!("new.teach/train/{name}")).join(" ");
     let val = "new.teach/calibration/plain new.teach/calibration/wide";
     assert!(fit.starts_with(&format!("fit --data {data} --val {val} --init ")), "{fit}");

@@ -21,7 +21,7 @@ const FAINT_MM: [f64; 2] = [0.3, 0.8];
 /// Share of its length that the part without its tip lacks.
 const TIP: f64 = 1.0 / 3.0;
 /// How often that is drawn beside each other negative: it is the one that is hardest to tell from the part.
-const CUT_WEIGHT: u32 = 3;
+const CUT_WEIGHT: u32 = 8;
 /// Slope of the most that a part is tilted by, which can keep one of its ends off the gel.
 const TILT: f64 = 0.06;
 

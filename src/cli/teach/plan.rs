@@ -44,14 +44,27 @@ enum Drawn {
     Strong,
 }
 
-/// What is learnt from, with its share of the pictures. A third of the wide ones show no snap, and those of sets
-/// of nothing else none: without them a network sees its parts everywhere.
-const TRAIN: [(&str, f64, Drawn, Mix); 5] = [
-    ("plain", 0.15, Drawn::Plain, Mix::Mixed),
-    ("wide", 0.475, Drawn::Wide, Mix::Mixed),
-    ("strong", 0.125, Drawn::Strong, Mix::Mixed),
-    ("plain-none", 0.075, Drawn::Plain, Mix::None),
-    ("wide-none", 0.175, Drawn::Wide, Mix::None),
+/// What a set's pictures show.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Shown {
+    /// Snaps, something else, both or nothing.
+    Mixed,
+    /// No snap.
+    Other,
+    /// What is easily taken for the parts, alone, as far as there is such.
+    Alike,
+}
+
+/// What is learnt from, with its share of the pictures. A third of the wide ones show no snap, and those of other
+/// sets none: without them a network sees its parts everywhere, and takes broken ones for whole.
+const TRAIN: [(&str, f64, Drawn, Shown); 7] = [
+    ("plain", 0.15, Drawn::Plain, Shown::Mixed),
+    ("wide", 0.42, Drawn::Wide, Shown::Mixed),
+    ("strong", 0.1, Drawn::Strong, Shown::Mixed),
+    ("plain-other", 0.02, Drawn::Plain, Shown::Other),
+    ("wide-other", 0.05, Drawn::Wide, Shown::Other),
+    ("plain-alike", 0.09, Drawn::Plain, Shown::Alike),
+    ("wide-alike", 0.17, Drawn::Wide, Shown::Alike),
 ];
 /// What scores and deviations are fitted to: pictures, whatever is learnt from.
 const CALIBRATE: [(&str, usize, Drawn); 2] =
@@ -73,20 +86,19 @@ impl Plan<'_> {
     /// All sets, in the order in which they are simulated. The seed of each depends on its place alone.
     pub fn sets(&self) -> Vec<Set> {
         let share = |share: f64| ((self.pictures as f64 * share).round() as usize).max(1);
-        let train = TRAIN.map(|(name, part, drawn, mix)| {
-            (Role::Train, name.to_owned(), share(part), self.request(drawn, mix))
+        let train = TRAIN.map(|(name, part, drawn, shown)| {
+            (Role::Train, name.to_owned(), share(part), self.request(drawn, shown))
         });
         let calibrate = CALIBRATE.map(|(name, count, drawn)| {
             let count = count.min(self.pictures);
-            (Role::Calibrate, name.to_owned(), count, self.request(drawn, Mix::Mixed))
+            (Role::Calibrate, name.to_owned(), count, self.request(drawn, Shown::Mixed))
         });
         let test = [("plain", Drawn::Plain), ("wide", Drawn::Wide)].map(|(name, drawn)| {
-            (Role::Test, name.to_owned(), self.test, self.request(drawn, Mix::Mixed))
+            (Role::Test, name.to_owned(), self.test, self.request(drawn, Shown::Mixed))
         });
         let negatives = self.own.negatives.iter().map(|negative| {
-            let mut request = self.request(Drawn::Plain, Mix::None);
+            let mut request = self.request(Drawn::Plain, Shown::Alike);
             request.own.negatives = vec![negative.clone()];
-            request.own.negatives_alone = true;
             (Role::Negative, negative.name.clone(), self.test.div_ceil(2), request)
         });
         let all = train.into_iter().chain(calibrate).chain(test).chain(negatives);
@@ -100,8 +112,10 @@ impl Plan<'_> {
             .collect()
     }
 
-    fn request(&self, drawn: Drawn, mix: Mix) -> Request {
-        let (own, sensor) = (self.own.clone(), self.sensor.clone());
+    fn request(&self, drawn: Drawn, shown: Shown) -> Request {
+        let (mut own, sensor) = (self.own.clone(), self.sensor.clone());
+        own.negatives_alone = shown == Shown::Alike;
+        let mix = if shown == Shown::Mixed { Mix::Mixed } else { Mix::None };
         let plain = Request { mix, own, ..Request::default() };
         let wide = Request { conditions: Distribution::Wide, ..plain.clone() };
         match (drawn, sensor) {
@@ -160,13 +174,13 @@ mod tests {
         };
         let all: Vec<Set> = sets(1).into_iter().chain(sets(2)).collect();
         let seeds: HashSet<u64> = all.iter().map(|set| set.settings.seed).collect();
-        assert_eq!((all.len(), seeds.len()), (20, 20));
-        let train = all[..10].iter().filter(|set| set.role == Role::Train);
+        assert_eq!((all.len(), seeds.len()), (24, 24));
+        let train = all[..12].iter().filter(|set| set.role == Role::Train);
         assert_eq!(train.map(|set| set.settings.count).sum::<usize>(), 4000);
-        let negative = &all[9].settings.request.own;
-        assert!(all[9].role == Role::Negative && negative.negatives_alone);
+        let negative = &all[11].settings.request.own;
+        assert!(all[11].role == Role::Negative && negative.negatives_alone);
         assert_eq!(
-            folders(&all[..10], Role::Test),
+            folders(&all[..12], Role::Test),
             ["work/test/plain", "work/test/wide"].map(PathBuf::from)
         );
         // Of few pictures each set has one at least.

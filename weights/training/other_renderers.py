@@ -28,6 +28,8 @@ Plane = np.ndarray
 BESIDE = -9.0  # mm: where a part has no height, deeper than any is pressed
 FREE_MM = 12.0  # between the middles of two parts
 MARGIN_MM = 6.0  # between the middle of a part and the edge
+PRESSED = (0.5, 1.4)  # mm: how deep
+TILT_DEG = 2  # at most
 DEEPEST_MM = 1.6  # of a part of one's own what lies deeper is not seen
 
 # In the order of the seeds: a scene's number is part of them.
@@ -132,6 +134,7 @@ class Relief:
 
     heights: Plane
     mm: float
+    least_mm: float = PRESSED[0]  # depth of a press
 
     def __call__(self, rng: np.random.Generator, x: Plane, y: Plane) -> Plane:
         rows, columns = (v / self.mm + side / 2 - 0.5 for v, side in zip((y, x), self.heights.shape))
@@ -142,11 +145,15 @@ class Relief:
         return float(np.hypot(*self.heights.shape)) * self.mm / 2
 
     def look_alikes(self) -> list["Relief"]:
-        """A block of the outline, unless it looks the same, and the part without the third that its zero points to."""
+        """A block of the outline, unless it looks the same, and the part without the third that its zero points to, pressed so deep that what it lacks would touch."""
         block = np.where(self.heights >= -DEEPEST_MM, 0, BESIDE)
         same = abs(block - self.heights)[self.heights > -DEEPEST_MM].max() <= 0.02
-        cut = self.heights[:, : max(1, round(self.heights.shape[1] * 2 / 3))]
-        return [Relief(other, self.mm) for other in [*([] if same else [block]), np.where(cut > BESIDE, cut - cut.max(), BESIDE)]]
+        end = max(1, round(self.heights.shape[1] * 2 / 3))
+        cut, lost = np.split(self.heights, [end], axis=1)
+        # A tilt may lift that end.
+        least = -float(lost.max(initial=BESIDE)) + np.tan(np.radians(TILT_DEG)) * self.reach_mm() + 0.1
+        broken = Relief(np.where(cut > BESIDE, cut - cut.max(), BESIDE), self.mm, min(max(PRESSED[0], least), PRESSED[1]))
+        return [*([] if same else [Relief(block, self.mm)]), broken]
 
     @staticmethod
     def read(text: str) -> "Relief":
@@ -238,10 +245,11 @@ def draw(look: str, scene: str, rng: np.random.Generator, kinds: Kinds = BUILT_I
         part = kinds.snaps[kind] if kind else kinds.others[rng.integers(len(kinds.others))]
         yaw = rng.uniform(-np.pi, np.pi)
         dx, dy = x - middle[0], y - middle[1]
-        tilt = np.tan(np.radians(rng.uniform(-2, 2, 2)))
+        tilt = np.tan(np.radians(rng.uniform(-TILT_DEG, TILT_DEG, 2)))
         along, across = turned(dx, dy, yaw)
         relief = part(rng, along, across)
-        press = rng.uniform(0.5, 1.4) + dx * tilt[0] + dy * tilt[1]
+        least, most = part.least_mm if isinstance(part, Relief) else PRESSED[0], PRESSED[1]
+        press = rng.uniform(least, most) + dx * tilt[0] + dy * tilt[1]
         reach = relief + press
         depth = np.maximum(depth, reach)
         if kind == "A" and scene == "wall":

@@ -9,7 +9,7 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from other_renderers import BESIDE, LOOKS, SNAPS, Relief, draw, hook, own, stud
+from other_renderers import BESIDE, LOOKS, PRESSED, SNAPS, Relief, draw, hook, own, stud
 
 
 def bracket(root: Path) -> Relief:
@@ -131,6 +131,10 @@ def test_what_is_easily_taken_for_a_part() -> None:
     # Of 8 mm the first two thirds: the step at the other end is gone, and what was lower is the highest.
     assert np.allclose(cut(rng, *np.array([[-2.5, 1], [2.5, 1], [2.75, 1]]).T), [0, 0, BESIDE], atol=1e-4)
     assert cut.heights.shape[1] == round(part.heights.shape[1] * 2 / 3)
+    # What it lacks is the highest, so any press tells; of a part whose step lies at the other end, one that reaches the plate 1 mm below, as tilted as it may be.
+    assert cut.least_mm == PRESSED[0] and block.least_mm == PRESSED[0]
+    turned = Relief(part.heights[:, ::-1], part.mm).look_alikes()[1]
+    assert 1.2 < turned.least_mm <= PRESSED[1], turned.least_mm
     # A block has no other block.
     assert len(block.look_alikes()) == 1
     kinds = own({"bracket": part, "block": block}, {"block"})

@@ -21,7 +21,7 @@ use super::output::{count, folder_name, line};
 /// radius. presses.csv (file,center_x_px,center_y_px,contact_radius_px) may say where the contacts are;
 /// without it they are found in the pictures. The scale is that of the ball's outline, which shows
 /// where it is pressed in about as deep as its radius, or what --mm-per-pixel says. The light is fitted
-/// to some presses and held to the others, round about, in crops about each contact: mean absolute
+/// to some presses and compared with the others (cross-validation), in crops about each contact: mean absolute
 /// difference in 8-bit levels, PSNR and SSIM. --write makes a file of it for --sensor.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {

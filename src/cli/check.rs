@@ -9,11 +9,11 @@ use super::exit::{Exit, Failure};
 use super::message::tell;
 use super::output::{json_line, line};
 
-/// Hold each kernel of each operation to the f64 reference on this machine
+/// Compare each kernel of each operation with the f64 reference on this machine
 ///
 /// Runs the library's cases: hand-computed ones, edges and prime sizes, stiff and extreme values, on
 /// poisoned and guarded buffers, in each precision. Prints for each kernel and precision the number of
-/// cases, the largest error as a share of its bound, of which at most 1 passes, and the case of that
+/// cases, the ratio of the largest error to its bound, which passes up to 1, and the case of that
 /// error; in the end the command that runs the nearest case of all alone. Says where numbers overflow
 /// on the device that do not in f64.
 #[derive(Debug, clap::Args)]

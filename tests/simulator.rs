@@ -1705,7 +1705,6 @@ fn a_part_s_negatives_can_be_had_alone() {
     assert!((0.35..0.6).contains(&share), "{share} of {}", all.len());
 }
 
-/// `simulate --preview` of parts in this folder.
 #[test]
 fn the_papers_sets_stay_as_they_are() {
     use sha2::{Digest, Sha256};
@@ -1725,6 +1724,7 @@ fn the_papers_sets_stay_as_they_are() {
     program::run(folder.path(), &chosen).expect(2).tells("cannot be used with '--seed <S>'");
 }
 
+/// `simulate --preview` of parts in this folder.
 fn preview(folder: &std::path::Path, args: &[&str]) -> program::Ran {
     program::command(folder).args(["simulate"]).args(args).output().expect("the program").into()
 }

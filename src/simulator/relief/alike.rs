@@ -53,17 +53,14 @@ impl Relief {
     /// Depth in millimetres from which presses tell it from another part: `None` where those of `most_mm` do not.
     pub fn told_apart_mm(&self, other: &Self, most_mm: f64) -> Option<f64> {
         let mut shapes = [self, other].map(|relief| Shape::new(relief, most_mm));
-        let mut are_alike = |depth_mm| {
-            shapes.iter_mut().for_each(|shape| shape.press(depth_mm));
-            are_alike(&shapes)
-        };
-        if are_alike(most_mm) {
+        if are_alike(&shapes) {
             return None;
         }
         let (mut alike, mut apart) = (0.0, most_mm);
         while apart - alike > ALIKE_MM {
             let middle = (alike + apart) / 2.0;
-            *(if are_alike(middle) { &mut alike } else { &mut apart }) = middle;
+            shapes.iter_mut().for_each(|shape| shape.press(middle));
+            *(if are_alike(&shapes) { &mut alike } else { &mut apart }) = middle;
         }
         Some(apart)
     }

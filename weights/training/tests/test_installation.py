@@ -110,12 +110,13 @@ def tables_and_figures_are_written(root: Path) -> None:
     read = model.of_json(root / "all.jsonl", pictures)
     assert [each.labels.tolist() for each in read] == [[1, 2], []]
     methods = {"one": model.trials_of([entry for _, entry in pictures], read)}
-    rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in model.markdown(methods).splitlines()]
+    plays = {name: model.least_play(trials) for name, trials in methods.items()}
+    rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in model.markdown(methods, plays).splitlines()]
     assert rows[2][:5] == ["one", "A", "2", "1", "0"] and rows[3][:5] == ["one", "B", "2", "1", "0"], rows
     assert rows[2][6] == "50.0 [1.3, 98.7]" and rows[-1][6] == "98.0 [89.4, 99.9]", rows
-    refused = {name: model.refusing(trials) for name, trials in methods.items()}
+    refused = {name: model.refusing(trials, plays[name]) for name, trials in methods.items()}
     assert list(refused["one"]) == ["score", "stated deviations"]
-    charts.clearance({name: (trials.kind, model.least_play(trials)) for name, trials in methods.items()}, root / "clearance.png")
+    charts.clearance({name: (trials.kind, plays[name]) for name, trials in methods.items()}, root / "clearance.png")
     charts.refusals(refused, root / "refused.png")
     charts.error_against_time({"one": (30.0, [0.9, 0.8, 0.95], [0.1, math.nan, math.nan])}, root / "time.png")
     for name in ("clearance", "refused", "time"):

@@ -28,7 +28,7 @@ def clearance(methods: Mapping[str, tuple[np.ndarray, np.ndarray]], file: Path) 
     figure, axes = pyplot.subplots(1, 2, figsize=(11, 4.6), sharey=True, layout="constrained")
     _, low, high = model.exact(*model.PAPER)
     for label, (kind, axis) in enumerate(zip(model.CLASSES, axes), start=1):
-        axis.axhspan(100 * low, 100 * high, color="0.9", label="the paper's 49 of 50, real: 95 % interval")
+        axis.axhspan(100 * low, 100 * high, color="0.9", label="the paper's {} of {}, real: 95 % interval".format(*model.PAPER))
         for i, (name, (kinds, plays)) in enumerate(methods.items()):
             play = plays[kinds == label]
             for taken_up, style in ((model.TAKEN_UP_MM, "-"), (0.0, "--")):

@@ -16,13 +16,13 @@ from ..files import whole
 from ..pictures import Entry
 from .plan import Plan
 from .runner import CLASSES, Progress
-from .tables import of_set
+from .score import CONF
+from .tables import of_set, read_found, shown
 
-HOOK_MM, STUD_MM = (8.0, 4.0), 6.5
+HOOK_MM = (8.0, 4.0)  # a stud goes in or not, whatever its size
 CLEARANCE_MM, LEAD_IN_MM = 0.1, 0.4
 STIFFNESS, FORCE = 15.0, 6.0  # N/mm, N
 ARM_MM, CALIBRATION_MM, CALIBRATION_DEG, FIXTURE_DEG = 0.03, 0.05, 0.3, 1.0
-CONF = 0.5
 DRAWS = 500
 PAPER = (49, 50)  # of the paper's assemblies, real ones, that closed
 TAKEN_UP_MM = min(LEAD_IN_MM, FORCE / STIFFNESS)
@@ -50,6 +50,11 @@ class Trials:
     turn: np.ndarray  # degrees, found less true; NaN where the detector says none
     score: np.ndarray  # 0 of a miss
     deviations: np.ndarray  # [N, 3], NaN where none are stated
+
+    @property
+    def stated(self) -> bool:
+        """Whether the detector states deviations."""
+        return not np.isnan(self.deviations[:, 0]).all()
 
 
 def trials_of(pictures: Sequence[Entry], found: Sequence[Found]) -> Trials:
@@ -116,10 +121,10 @@ def likely(trials: Trials, play: float, seed: int = 2) -> np.ndarray:
     return np.where(trials.taken == 0, 0, closes.mean(axis=1))
 
 
-def exact(successes: int, trials: int) -> tuple[float, float, float]:
+def exact(successes: int, trials: int) -> list[float]:
     """A share with its 95 % interval, Clopper and Pearson's."""
     interval = binomtest(successes, trials).proportion_ci(method="exact")
-    return successes / trials, float(interval.low), float(interval.high)
+    return [successes / trials, float(interval.low), float(interval.high)]
 
 
 def refusals(play: np.ndarray, order: np.ndarray, at: float) -> tuple[np.ndarray, np.ndarray]:
@@ -156,51 +161,36 @@ def _found(detections: list[dict[str, Any]]) -> Found:
     return Found(boxes, scores, labels, column(lambda each: number(each["yaw_deg"])), stated)
 
 
-def of_run(where: Path, names: Sequence[str]) -> list[Found] | None:
-    """What a run found in the pictures of these sets, as tables.py keeps it."""
-    files = [where / f"found-{name}.json" for name in names]
-    if not all(file.exists() for file in files):
-        return None
-    kept = [one for file in files for one in json.loads(file.read_text(encoding="utf-8"))["found"]]
+def of_numbers(kept: list) -> list[Found]:
+    """What a run found in some pictures, as tables.read_found has it."""
     return [Found(np.array(boxes, float).reshape(-1, 4), np.array(scores, float), np.array(labels, int), np.full(len(scores), math.nan)) for boxes, scores, labels in kept]
 
 
-def percent(share: tuple[float, float, float]) -> str:
-    value, low, high = (f"{100 * each:.1f}" for each in share)
-    return f"{value} [{low}, {high}]"
-
-
-def markdown(methods: dict[str, Trials]) -> str:
+def markdown(methods: dict[str, Trials], plays: dict[str, np.ndarray]) -> str:
+    """Table III, of each method's trials and their least plays."""
     lines = ["| | snap | trials | misses | confusions | closed, %: without a lead-in | with it | with it, the tenth refused that it trusts least |", "|---|---|---|---|---|---|---|---|"]
+    bare, eased = CLEARANCE_MM, CLEARANCE_MM + TAKEN_UP_MM
     for name, trials in methods.items():
-        play = least_play(trials)
+        trust = likely(trials, eased) if trials.stated else trials.score
         for label, kind in enumerate(CLASSES, start=1):
             own = trials.kind == label
-            count = int(own.sum())
+            count, play, taken = int(own.sum()), plays[name][own], trials.taken[own]
             if not count:
                 continue
-            bare, eased = CLEARANCE_MM, CLEARANCE_MM + TAKEN_UP_MM
-            shares = [percent(exact(int((play[own] <= at).sum()), count)) for at in (bare, eased)]
-            trust = trusted(trials, eased)[own]
-            kept = np.argsort(-trust, kind="stable")[: count - count // 10]
-            shares.append(percent(exact(int((play[own][kept] <= eased).sum()), len(kept))))
-            missed, confused = (trials.taken[own] == 0).sum(), ((trials.taken[own] != label) & (trials.taken[own] != 0)).sum()
+            kept = play[np.argsort(-trust[own], kind="stable")[: count - count // 10]]
+            shares = [shown(exact(int((each <= at).sum()), len(each))) for each, at in ((play, bare), (play, eased), (kept, eased))]
+            missed, confused = (taken == 0).sum(), ((taken != label) & (taken != 0)).sum()
             lines.append(f"| {name} | {kind} | {count} | {missed} | {confused} | {' | '.join(shares)} |")
-    lines.append(f"| the paper's SMR-Net, real | both | {PAPER[1]} | – | – | – | {percent(exact(*PAPER))} | – |")
+    lines.append(f"| the paper's SMR-Net, real | both | {PAPER[1]} | – | – | – | {shown(exact(*PAPER))} | – |")
     return "\n".join(lines) + "\n"
 
 
-def refusing(trials: Trials) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def refusing(trials: Trials, play: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """`refusals` by the score, and by stated deviations where there are some, without a lead-in."""
     orders = {"score": trials.score}
-    if not np.isnan(trials.deviations[:, 0]).all():
+    if trials.stated:
         orders["stated deviations"] = likely(trials, CLEARANCE_MM)
-    return {by: refusals(least_play(trials), order, CLEARANCE_MM) for by, order in orders.items()}
-
-
-def trusted(trials: Trials, play: float) -> np.ndarray:
-    """By what a robot would refuse: how likely it closes where deviations are stated, else the score."""
-    return trials.score if np.isnan(trials.deviations[:, 0]).all() else likely(trials, play)
+    return {by: refusals(play, order, CLEARANCE_MM) for by, order in orders.items()}
 
 
 def write(args: argparse.Namespace, plan: Plan) -> None:
@@ -214,14 +204,17 @@ def write(args: argparse.Namespace, plan: Plan) -> None:
     for title, file in args.detections:
         methods[title] = trials_of(entries, of_json(file, pictures))
     for run in plan.runs:
-        title = f"{run.row.title}, {run.network}" if run.row.model == "smr" else run.row.title
-        found = of_run(args.out / run.name, names) if Progress.load(args.out / run.name).complete else None
-        if found is not None and title not in methods:
-            methods[title] = trials_of(entries, found)
+        title = run.row.titled(run.network)
+        if title in methods or not Progress.load(args.out / run.name).complete:
+            continue
+        kept = read_found(args.out / run.name, names)
+        if kept is not None:
+            methods[title] = trials_of(entries, of_numbers(kept))
     if not methods:
         raise Failure(f"{args.out}: expected detections of a complete run in the sets {', '.join(names)}, or --detections, got none")
+    plays = {name: least_play(trials) for name, trials in methods.items()}
     with whole(args.out / "installation.md") as part:
-        part.write_text(markdown(methods), encoding="utf-8")
-    charts.clearance({name: (trials.kind, least_play(trials)) for name, trials in methods.items()}, args.out / "installation.png")
-    charts.refusals({name: refusing(trials) for name, trials in methods.items()}, args.out / "refusals.png")
+        part.write_text(markdown(methods, plays), encoding="utf-8")
+    charts.clearance({name: (trials.kind, plays[name]) for name, trials in methods.items()}, args.out / "installation.png")
+    charts.refusals({name: refusing(trials, plays[name]) for name, trials in methods.items()}, args.out / "refusals.png")
     print(f"{args.out / 'installation.md'}, installation.png, refusals.png: {len(methods)} methods")

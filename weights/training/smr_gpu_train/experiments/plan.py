@@ -44,6 +44,10 @@ class Row:
     backbone: str = "vgg16"  # of faster and fast
     size: str = "n"  # of yolo
 
+    def titled(self, network: str) -> str:
+        """Its title with the widths, where there are several."""
+        return f"{self.title}, {network}" if self.model == "smr" else self.title
+
     @property
     def in_a_weight_file(self) -> bool:
         """Whether one can say all that this network is."""

@@ -35,6 +35,14 @@ def _numbers(found: dict[str, torch.Tensor]) -> list:
     return [[[round(v, 3) for v in box] for box in found["boxes"].tolist()], [round(v, 6) for v in found["scores"].tolist()], found["labels"].tolist()]
 
 
+def read_found(where: Path, names: list[str], at: str = "") -> list | None:
+    """Boxes, scores and labels of each picture of these sets; None where a run has not looked at all of them."""
+    files = [where / f"found-{name}{at}.json" for name in names]
+    if not all(file.exists() for file in files):
+        return None
+    return [one for file in files for one in json.loads(file.read_text(encoding="utf-8"))["found"]]
+
+
 def _tensors(kept: list) -> dict[str, torch.Tensor]:
     boxes, scores, labels = kept
     return {"boxes": torch.tensor(boxes, dtype=torch.float32).view(-1, 4), "scores": torch.tensor(scores), "labels": torch.tensor(labels, dtype=torch.long)}
@@ -121,9 +129,9 @@ def results(plan: Plan, data: Path, out: Path, times: int) -> dict[str, Any]:
             sampled: dict[tuple[str, str], dict[int, score.Sampled]] = {}
             for key, runs in members.items():
                 for run in runs:
-                    files = [out / run.name / f"found-{name}{at}.json" for name in names]
-                    if all(file.exists() for file in files):
-                        found = [_tensors(one) for file in files for one in json.loads(file.read_text())["found"]]
+                    kept = read_found(out / run.name, names, at)
+                    if kept is not None:
+                        found = [_tensors(one) for one in kept]
                         sampled.setdefault(key, {})[run.seed] = score.Sampled(score.Evidence(truths, found, CLASSES), weights)
             rows = answer["groups"].setdefault(group + at, {})
             for (row, network), seeds in sampled.items():
@@ -201,9 +209,7 @@ def timed(plan: Plan, answer: dict[str, Any]) -> dict[str, tuple[float, list[flo
         paid = answer["costs"].get(key)
         if paid and paid.get("ms") is not None:
             figures = entry["figures"]["all"]
-            row = plan.rows[entry["row"]]
-            name = f"{row.title}, {entry['network']}" if row.model == "smr" else row.title
-            rows[name] = (paid["ms"] + (paid.get("proposals_ms") or 0), figures["iou"], figures["centre_mm"])
+            rows[plan.rows[entry["row"]].titled(entry["network"])] = (paid["ms"] + (paid.get("proposals_ms") or 0), figures["iou"], figures["centre_mm"])
     return rows
 
 

@@ -33,7 +33,7 @@ use smr_gpu::simulator::optics::{
     Fit, NORMAL_TERMS, POSITION_TERMS, Shading, TERMS, measured_sensors, normal_terms,
     position_terms,
 };
-use smr_gpu::simulator::options::Drive;
+use smr_gpu::simulator::options::{Drive, Optics};
 use smr_gpu::simulator::own_part::OwnPart;
 use smr_gpu::simulator::raster::{FIELD_MM, Raster};
 use smr_gpu::simulator::relief::{Relief, Symmetry, View};
@@ -1245,6 +1245,12 @@ fn lookalikes_have_no_label_and_can_be_drawn_alone() {
         Part::Rib,
         Part::Edge,
         Part::Pin,
+        Part::Dome,
+        Part::Button,
+        Part::Rivet,
+        Part::Torus,
+        Part::Clip,
+        Part::FirTree,
         Part::Nothing,
     ];
     for part in parts {
@@ -1559,6 +1565,8 @@ fn conditions_are_forced_by_name() {
         ("mild,wall", false),
         ("mild,side", false),
         ("mild,hole=2", false),
+        ("mild,barbs", false),
+        ("mild,size=4", false),
         ("wall=no", false),
     ] {
         let forced: Forced = text.parse().expect(text);
@@ -1585,6 +1593,116 @@ fn conditions_are_forced_by_name() {
     ] {
         let error = text.parse::<Forced>().expect_err(text).to_string();
         assert!(error.contains(text) && error.contains(wanted), "{error}");
+    }
+}
+
+/// Of a stud and of a hook on its back alone: their outlines are known.
+fn drawn(seed: u64, mix: Mix, forced: &str) -> Scene {
+    let forced: Forced = forced.parse().expect(forced);
+    let region = [-20.0, -20.0, 20.0, 20.0];
+    let rng = &mut Pcg64::seed_from_u64(seed);
+    Scene::sample_wide(rng, region, mix, None, (&forced, &Own::default()))
+}
+
+/// Points about a part's outline at its origin's height or higher, on the gel.
+fn outline_of(snap: &Placed<Snap>) -> Vec<[f64; 2]> {
+    let [a, b] = snap.part.half_size();
+    let round = matches!(snap.part, Snap::Stud(_));
+    let at = |i: usize| {
+        let (sin, cos) = (i as f64 * std::f64::consts::TAU / 400.0).sin_cos();
+        let [u, v] =
+            if round { [cos, sin] } else { [cos, sin].map(|c| c / cos.abs().max(sin.abs())) };
+        snap.pose().gel([a * u, b * v]).into()
+    };
+    (0..400).map(at).collect()
+}
+
+#[test]
+fn snaps_in_company_stand_as_far_apart_as_asked() {
+    let (mut pairs, mut near) = (0, 0);
+    for seed in 0..30 {
+        let scene = drawn(seed, Mix::Mixed, "gap=0.3..0.9,wall=no");
+        let outlines: Vec<_> = scene.snaps.iter().map(outline_of).collect();
+        let distance = |a: &[[f64; 2]], b: &[[f64; 2]]| {
+            let all = a.iter().flat_map(|p| b.iter().map(|q| (p[0] - q[0]).hypot(p[1] - q[1])));
+            all.fold(f64::INFINITY, f64::min)
+        };
+        for (i, one) in outlines.iter().enumerate() {
+            for other in &outlines[..i] {
+                let gap = distance(one, other);
+                assert!(gap > 0.29, "seed {seed}: {gap}");
+                pairs += 1;
+                // Points on an outline of up to 24 mm lie at most 0.06 mm apart.
+                near += usize::from(gap < 0.97);
+            }
+        }
+    }
+    // Each but the first of a picture stands beside a part before it, one in five beside no snap.
+    assert!(pairs > 40 && near > 25, "{near} of {pairs} pairs");
+}
+
+#[test]
+fn snaps_have_the_size_that_is_asked_for() {
+    for seed in 0..20 {
+        for snap in drawn(seed, Mix::Mixed, "size=3.5..5,side=no").snaps {
+            let [a, b] = snap.part.half_size();
+            assert!((3.5..=5.0).contains(&(2.0 * a.max(b))), "{snap:?}");
+        }
+    }
+}
+
+/// Some arm stays behind each barb, and no barb is narrower than its arm.
+#[test]
+fn varied_barbs_leave_an_arm() {
+    let mut flared = 0;
+    for seed in 0..60 {
+        for snap in drawn(seed, Mix::A, "barbs,side=no,wall=no").snaps {
+            let Snap::Hook(hook) = &snap.part else { panic!("{snap:?}") };
+            let half = hook.length / 2.0;
+            // On the arm behind the middle it is an undercut lower than the barb.
+            let arm = snap.part.height(-0.6 * half, 0.0);
+            assert!((arm + hook.undercut).abs() < 0.05, "{hook:?}: {arm}");
+            flared += usize::from(hook.flare > 1.05);
+        }
+    }
+    assert!(flared > 10, "{flared}");
+}
+
+/// A picture and what is forced of its label.
+fn forced_picture(forced: &str) -> Rendered {
+    let forced: Forced = forced.parse().expect(forced);
+    Renderer::new().render(5, &Request { forced, ..Request::wide(Mix::B) }).expect("a picture")
+}
+
+/// Within the labelled box the mean brightness falls by a good part of what deep gel lacks; outside of it the
+/// gel is as bright as before.
+#[test]
+fn gel_over_a_dark_coating_is_dark_where_it_is_deep() {
+    let same = "mild,optics=lamps,strength=0.1,colour=0,gap=5..6,depth=1.4";
+    let (bright, dark) = (forced_picture(same), forced_picture(&format!("{same},darkness=0.8")));
+    assert_eq!((bright.conditions.darkness, dark.conditions.darkness), (0.0, 0.8));
+    assert_eq!(bright.labels, dark.labels);
+    let mean = |rendered: &Rendered, [x0, y0, x1, y1]: [f64; 4]| {
+        let part = rendered.picture.enumerate_pixels().filter(|(x, y, _)| {
+            (x0..x1).contains(&f64::from(*x)) && (y0..y1).contains(&f64::from(*y))
+        });
+        let levels: Vec<f64> = part.map(|(_, _, pixel)| f64::from(pixel[1])).collect();
+        levels.iter().sum::<f64>() / levels.len() as f64
+    };
+    let pressed = bright.labels[0].pixel_box;
+    let ratio = mean(&dark, pressed) / mean(&bright, pressed);
+    assert!((0.2..0.9).contains(&ratio), "{ratio}");
+}
+
+#[test]
+fn light_comes_from_the_side_that_is_asked_for() {
+    for degrees in [-170.0, -60.0, 10.0, 100.0] {
+        let rendered = forced_picture(&format!("light={degrees}"));
+        let found = rendered.conditions.light_deg.expect("light from one side");
+        let off = (found - degrees + 180.0).rem_euclid(360.0) - 180.0;
+        // Each of its lamps stands within 0.3 radians of it.
+        assert!(off.abs() <= 17.2, "{degrees}: {found}");
+        assert_eq!(rendered.conditions.optics, Optics::Lamps);
     }
 }
 

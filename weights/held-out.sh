@@ -71,3 +71,32 @@ look_alike edge 19212 edge
 look_alike pin 19213 pin
 look_alike bare 19214 nothing
 look_alike clutter 19215 clutter
+
+# Snaps in company, small ones, other barbs, gel that darkens with depth, light from one side.
+snaps pairs-a 19301 --kind a --force gap=0.3..1.2
+snaps pairs-b 19302 --kind b --force gap=0.3..1.2
+snaps pairs 19303 --kind mixed --force gap=0..1.2
+snaps small-a 19311 --kind a --force size=3.5..5
+snaps small-b 19312 --kind b --force size=3.5..5
+snaps barbs 19321 --kind a --force barbs
+snaps dark-a 19331 --kind a --force darkness=0.4..0.9,strength=0.1..1,colour=-1..0.2
+snaps dark-b 19332 --kind b --force darkness=0.4..0.9,strength=0.1..1,colour=-1..0.2
+snaps light-right 19341 --kind mixed --force light=-20..20,shadows=0.5..1,strength=1..4
+snaps light-below 19342 --kind mixed --force light=70..110,shadows=0.5..1,strength=1..4
+snaps light-left 19343 --kind mixed --force light=160..180,shadows=0.5..1,strength=1..4
+snaps light-above 19344 --kind mixed --force light=-110..-70,shadows=0.5..1,strength=1..4
+snaps grey-a 19351 --kind a --force colour=-1
+snaps barb-alone 19361 --kind a --force depth=0.1..0.3,side=no
+
+# No snap: round things with bright and dark rims, fasteners of other kinds, things side by side.
+rimmed() {
+    set_of "$1" "$2" 50 --conditions wide --kind none --look-alike "$3" --force rim=-0.5..1
+}
+rimmed rim-ball 19401 ball
+rimmed rim-dome 19402 dome
+rimmed rim-button 19403 button
+rimmed rim-rivet 19404 rivet
+rimmed rim-torus 19405 torus
+look_alike clip 19411 clip
+look_alike fir-tree 19412 fir-tree
+set_of company 19413 100 --conditions wide --kind none --force gap=0..1.2

@@ -108,6 +108,9 @@ pub(super) struct Args {
     ///   scale       of things beside the frame's own, as far as fields of 10 to 60 mm go
     ///   optics      measured or lamps
     ///   strength    of the shading; at 1 a slope of a half changes the brightness by a tenth
+    ///   light       from one side: direction from x towards y, in degrees (sets optics=lamps)
+    ///   darkness    share of the light that gel lacks which is pressed deep, as with grey gels
+    ///   rim         change of brightness where the gel turns up from what presses, as a share
     ///   shadows     share of a light that its shadows take away
     ///   colour      of the lights: 0 grey, 1 each of its own; negative: one channel
     ///   exposure    factor on the brightness
@@ -124,6 +127,9 @@ pub(super) struct Args {
     ///   wall, side  hooks with one, on their side; yes or no
     ///   cut         snaps at the picture's edge, yes or no
     ///   touching    snaps beside other parts, yes or no
+    ///   gap         two to five parts side by side, so many mm apart
+    ///   size        longer side of snaps, in mm
+    ///   barbs       hooks with longer, wider or rounder barbs, yes or no
     ///   slots       of studs
     ///   hole        of studs, in mm
     ///   bead, fillet  of studs and rings, in mm

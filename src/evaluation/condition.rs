@@ -35,10 +35,15 @@ enum Bins {
     Edges(&'static [f64]),
     /// Without it, where it is 0; else between these.
     Without(&'static [f64]),
+    /// The picture's side that is nearest to a direction in degrees from x towards y.
+    Sides,
 }
 
+/// From the direction 0 on, a quarter turn each.
+const SIDES: [&str; 4] = ["right", "below", "left", "above"];
+
 /// By what: name and unit, where it stands in the labels, how values are put together.
-const CONDITIONS: [(&str, Of, Bins); 18] = [
+const CONDITIONS: [(&str, Of, Bins); 21] = [
     ("depth, mm", Of::Snap("depth_mm"), Bins::Edges(&[0.3, 0.8, 1.2])),
     ("cut by the edge", Of::Snap("whole"), Bins::Flag(["cut", "whole"])),
     ("slots", Of::Snap("slots"), Bins::Each),
@@ -48,6 +53,9 @@ const CONDITIONS: [(&str, Of, Bins); 18] = [
     ("markers' pitch, mm", Of::Picture("markers_mm"), Bins::Without(&[2.0, 3.0])),
     ("shadows' depth", Of::Picture("shadows"), Bins::Without(&[0.5])),
     ("strength of shading", Of::Picture("strength"), Bins::Edges(&[1.0, 2.0, 3.0])),
+    ("light from one side", Of::Picture("light_deg"), Bins::Sides),
+    ("darkness of depth", Of::Picture("darkness"), Bins::Edges(&[0.4, 0.7])),
+    ("rim", Of::Picture("rim"), Bins::Edges(&[0.0, 0.4])),
     ("colour of light", Of::Picture("colour"), Bins::Edges(&[0.0, 0.12, 0.6])),
     ("exposure", Of::Picture("exposure"), Bins::Edges(&[0.7, 1.4, 2.0])),
     ("mottle", Of::Picture("mottle"), Bins::Edges(&[0.02])),
@@ -145,6 +153,10 @@ fn place(value: &Attribute, bins: &Bins) -> Option<(usize, String)> {
             Some((number.max(0.0) as usize, number.to_string()))
         }
         (Attribute::Text(text), Bins::Each) => Some((0, text.clone())),
+        (Attribute::Number(degrees), Bins::Sides) => {
+            let side = ((degrees / 90.0).round() as i64).rem_euclid(4) as usize;
+            Some((side, SIDES[side].to_owned()))
+        }
         (Attribute::Number(0.0), Bins::Without(_)) => Some((0, "without".to_owned())),
         (Attribute::Number(number), Bins::Edges(edges) | Bins::Without(edges)) => {
             Some(between(*number, edges))
@@ -227,6 +239,16 @@ mod tests {
         ];
         assert_eq!(rows, expected);
         assert_eq!(get(&strata, "optics", "lamps").pictures, 2);
+    }
+
+    /// Directions from −180° to 180° in four quarters about the sides.
+    #[test]
+    fn light_comes_from_the_nearest_side() {
+        let sides = [0.0, 44.0, 46.0, 134.0, 136.0, 180.0, -136.0, -134.0, -46.0, -44.0]
+            .map(|degrees| place(&Attribute::Number(degrees), &Bins::Sides).expect("a side").1);
+        let expected = ["right", "right", "below", "below", "left", "left", "left", "above"];
+        assert_eq!(sides[..8], expected);
+        assert_eq!(sides[8..], ["above", "right"]);
     }
 
     #[test]

@@ -188,6 +188,9 @@ pub struct Figures {
     pub ap50_95: Option<f64>,
     /// Distance of centres of right boxes, in millimetres.
     pub center_error_mm: Errors,
+    /// How far centres of right boxes lie towards the light, in millimetres, the mean over the pictures
+    /// whose labels state that light comes from one side; negative towards the shadow.
+    pub bias_to_light_mm: Option<f64>,
     /// Angle between the directions of whole snaps and those of their right boxes, in degrees.
     pub yaw_error_deg: Errors,
     /// Snaps with a right box above the threshold.
@@ -234,14 +237,18 @@ pub struct Intervals {
 pub fn figures(seen: &[Seen], classes: &[usize], conf: f64) -> Figures {
     let mut figures = Figures { pictures: seen.len(), ..Figures::default() };
     let (mut overlaps, mut distances, mut angles) = (Vec::new(), Vec::new(), Vec::new());
+    let mut to_light = Vec::new();
     for (i, picture) in seen.iter().enumerate() {
         let mine: Vec<Snap> =
             picture.snaps.iter().filter(|s| classes.contains(&s.class)).cloned().collect();
         let view = Seen { snaps: mine, ..picture.clone() };
+        let light = picture.conditions.get("light_deg").and_then(Attribute::number);
         for (overlap, right) in view.best(conf) {
             overlaps.push((i, overlap));
             if let Some(Right { off_mm: [x, y], off_deg, .. }) = right {
                 distances.push((i, x.hypot(y)));
+                let light = light.map(f64::to_radians);
+                to_light.extend(light.map(|light| x * light.cos() + y * light.sin()));
                 angles.extend(off_deg.map(|angle| (i, angle.abs())));
             }
         }
@@ -279,6 +286,7 @@ pub fn figures(seen: &[Seen], classes: &[usize], conf: f64) -> Figures {
     figures.ap50_95 = mean(boxes.iter().filter_map(|b| average_precision_50_95(b, Areas::ALL)));
     figures.center_error_mm = errors(&distances);
     figures.yaw_error_deg = errors(&angles);
+    figures.bias_to_light_mm = mean(to_light.into_iter());
     let [
         mean_best_iou,
         ap50,
@@ -410,6 +418,22 @@ pub(super) mod tests {
         let turned = Found { yaw_deg: Some(90.0), ..found(0, 0.0, 0.9) };
         let got = figures(&[seen(vec![snap(0, 0.0, &[yaw(0.0), cut])], vec![turned])], &[0], 0.5);
         assert_eq!((got.center_error_mm.median, got.yaw_error_deg.median), (Some(0.0), None));
+    }
+
+    /// 1 mm to the right under light from the lower right, 45°: 0.71 mm towards it; under light from above
+    /// none; and where nobody says it does not count.
+    #[test]
+    fn a_box_off_to_the_light_is_biased() {
+        let under = |light: Option<f64>, x: f64| {
+            let mut picture = seen(vec![snap(0, 0.0, &[])], vec![found(0, x, 0.9)]);
+            let light = light.map(|deg| ("light_deg".to_owned(), Attribute::Number(deg)));
+            picture.conditions.extend(light);
+            picture
+        };
+        let pictures = [under(Some(45.0), 2.0), under(Some(-90.0), 2.0), under(None, 2.0)];
+        let bias = figures(&pictures, &[0], 0.5).bias_to_light_mm.expect("light");
+        assert!((bias - 0.5f64.sqrt() / 2.0).abs() < 1e-12, "{bias}");
+        assert_eq!(figures(&pictures[2..], &[0], 0.5).bias_to_light_mm, None);
     }
 
     #[test]

@@ -7,6 +7,7 @@
 use std::io::Cursor;
 use std::sync::Arc;
 
+use glam::DVec2;
 use image::codecs::jpeg::JpegEncoder;
 use image::{ImageFormat, RgbImage};
 use rand::RngExt;
@@ -24,6 +25,7 @@ use super::raster::PixelBox;
 use super::raster::Raster;
 use super::shadow::{Ray, cast};
 use super::surface::Surface;
+use super::tone::Tone;
 
 /// What answers to the slope of the surface.
 #[derive(Debug, Clone, PartialEq)]
@@ -96,6 +98,8 @@ pub struct Appearance {
     pub exposure: f32,
     /// Shadows, if any.
     pub shadows: Option<Shadows>,
+    /// What the gel's depth does to its brightness, if anything.
+    pub tone: Option<Tone>,
     /// Print on the gel, if any.
     pub markers: Option<Markers>,
     /// Share of the light lost in the corners.
@@ -121,6 +125,7 @@ impl Appearance {
             flat: None,
             exposure,
             shadows: None,
+            tone: None,
             markers: None,
             vignetting: 0.0,
             housing: None,
@@ -140,6 +145,9 @@ impl Appearance {
             }
             Optics::Lamps => {
                 let mut lamps = Lamps::sample(rng, frame.longer_mm(), conditions.colour.max(0.0));
+                if let Some(degrees) = conditions.light_deg {
+                    lamps.gather(rng, degrees.to_radians());
+                }
                 lamps.set_contrast(contrast);
                 Light::Lamps(lamps)
             }
@@ -167,6 +175,8 @@ impl Appearance {
         coating.limit_level(rng.random_range(150.0..330.0) / conditions.exposure);
         let markers = (conditions.markers_mm > 0.0)
             .then(|| Markers::sample(rng, conditions.markers_mm, frame.mm_per_pixel));
+        let toned = conditions.darkness > 0.0 || conditions.rim != 0.0;
+        let tone = toned.then(|| Tone::sample(rng, conditions.darkness, conditions.rim));
         let longer = frame.longer_px() as f64;
         let level = rng.random_range(2.0..40.0);
         let housing = conditions.housing.then(|| Housing {
@@ -182,12 +192,31 @@ impl Appearance {
             flat: None,
             exposure: conditions.exposure as f32,
             shadows,
+            tone,
             markers,
             vignetting: conditions.vignetting as f32,
             housing,
             grey: conditions.colour < 0.0,
             jpeg: conditions.jpeg,
         }
+    }
+}
+
+/// Least resultant of all lights' directions, over their sum, of light that comes from one side.
+const ONE_SIDED: f64 = 0.7;
+
+impl Appearance {
+    /// The direction on the gel from which light comes, in degrees from x towards y, where it comes from
+    /// one side.
+    pub fn light_deg(&self) -> Option<f64> {
+        let lights: Vec<DVec2> = match &self.light {
+            Light::Lamps(lamps) => lamps.lamps.iter().map(|lamp| lamp.along_gel()).collect(),
+            Light::Measured(shading) => [0, 1, 2].map(|c| shading.along_gel(c)).to_vec(),
+        };
+        let resultant: DVec2 = lights.iter().sum();
+        let all: f64 = lights.iter().map(|light| light.length()).sum();
+        (resultant.length() >= ONE_SIDED * all && all > 0.0)
+            .then(|| resultant.y.atan2(resultant.x).to_degrees())
     }
 }
 
@@ -218,6 +247,8 @@ pub struct Painter {
     /// Where each pixel's point of the surface lies, in millimetres, where that is needed.
     places: Vec<[f32; 2]>,
     lit: [Vec<f32>; 3],
+    /// What depth and rims do to each pixel, where they do something.
+    tones: Vec<f32>,
     plane: Vec<f32>,
     scratch: Vec<f32>,
 }
@@ -237,6 +268,7 @@ impl Painter {
             gradients: Vec::new(),
             places: Vec::new(),
             lit: [const { Vec::new() }; 3],
+            tones: Vec::new(),
             plane: Vec::new(),
             scratch: Vec::new(),
         }
@@ -255,7 +287,7 @@ impl Painter {
         let (width, height) = (frame.width, frame.height);
         let shadows = look.cast_shadows(surface);
         let lamps = matches!(look.light, Light::Lamps(_));
-        let placed = lamps || look.markers.is_some() || !shadows.is_empty();
+        let placed = lamps || look.markers.is_some() || !shadows.is_empty() || look.tone.is_some();
         // Two steps where the camera is far and the picture plain.
         let steps = if camera.distance_mm < 3.0 * frame.longer_mm() { 5 } else { 2 };
 
@@ -281,6 +313,11 @@ impl Painter {
             self.light_lamps(lamps, &shadows, depth, drawn);
         }
 
+        self.tones.clear();
+        if let Some(tone) = &look.tone {
+            let factor = tone.on(surface);
+            self.tones.extend(self.places.iter().map(|&[x, y]| factor(x.into(), y.into())));
+        }
         let mut bytes = vec![0u8; frame.pixels() * 3];
         self.plane.resize(frame.pixels(), 0.0);
         self.plane.truncate(frame.pixels());
@@ -300,6 +337,9 @@ impl Painter {
                     }
                 }
                 Light::Lamps(_) => self.plane.copy_from_slice(&self.lit[channel]),
+            }
+            for (value, tone) in self.plane.iter_mut().zip(&self.tones) {
+                *value *= tone;
             }
             match &look.flat {
                 None => {

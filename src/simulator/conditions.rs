@@ -64,6 +64,21 @@ pub struct Conditions {
     pub snr_db: f64,
     /// What of the picture shows gel, in pixels.
     pub window: PixelBox,
+    /// Share of the light that gel lacks which is pressed deep, as where a dark coating lies behind a
+    /// grey gel; 0 without.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub darkness: f64,
+    /// Change of brightness, as a share, where the gel turns up from what presses; 0 without.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub rim: f64,
+    /// Direction on the gel from which the light comes where it comes from one side, in degrees from x
+    /// towards y.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub light_deg: Option<f64>,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 /// Contrast ([`Shading::contrast`](super::optics::Shading::contrast)) of a strength of 1.
@@ -220,6 +235,9 @@ impl Conditions {
             distortion,
             snr_db,
             window,
+            darkness: 0.0,
+            rim: 0.0,
+            light_deg: None,
         };
         conditions.force(rng, forced);
         (frame, conditions)
@@ -242,11 +260,17 @@ impl Conditions {
         set(&mut self.distortion, forced.distortion);
         set(&mut self.snr_db, forced.snr);
         set(&mut self.gel_mm, forced.gel);
+        set(&mut self.darkness, forced.darkness);
+        set(&mut self.rim, forced.rim);
         if let Some(span) = forced.jpeg {
             self.jpeg = Some(span.sample(rng).round() as u8);
         }
         self.housing = forced.housing.unwrap_or(self.housing);
         self.optics = forced.optics.unwrap_or(self.optics);
+        if let Some(span) = forced.light {
+            self.light_deg = Some(span.sample(rng));
+            self.optics = Optics::Lamps;
+        }
         self.mechanics = forced.mechanics.unwrap_or(self.mechanics);
     }
 }

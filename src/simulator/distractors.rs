@@ -6,11 +6,13 @@ use rand::RngExt;
 use rand_pcg::Pcg64;
 
 use super::clutter::Clutter;
+use super::fasteners::Fastener;
 use super::forced::Forced;
 use super::options::Drive;
 use super::outline::{rectangle, rounded_edge, smooth_min, stroke};
 use super::relief::Relief;
 use super::snaps::{Snap, Stud};
+use super::turned::Turned;
 
 /// A line from point to point, in millimetres.
 pub type Line = [[f64; 2]; 2];
@@ -46,6 +48,18 @@ pub enum Part {
     Edge,
     /// A round pin.
     Pin,
+    /// A cap of a ball.
+    Dome,
+    /// A button with a rim and holes.
+    Button,
+    /// A rivet's head on its flange.
+    Rivet,
+    /// A ring with a round section.
+    Torus,
+    /// A clip with two legs.
+    Clip,
+    /// A pin with fins, seen from its side.
+    FirTree,
     /// A thing of no known kind.
     Clutter,
     /// Nothing: bare gel.
@@ -140,6 +154,10 @@ pub enum Distractor {
         /// Radius of its edge.
         fillet: f64,
     },
+    /// A dome, a button, a rivet or a torus.
+    Turned(Turned),
+    /// A clip or a pin.
+    Fastener(Fastener),
     /// A thing of no known kind.
     Clutter(Clutter),
     /// A shape from a file.
@@ -290,6 +308,12 @@ impl Distractor {
             },
             Part::Edge => Self::Edge { fillet },
             Part::Pin => Self::Pin { radius: rng.random_range(0.8..4.0), fillet },
+            Part::Dome => Self::Turned(Turned::dome(rng)),
+            Part::Button => Self::Turned(Turned::button(rng)),
+            Part::Rivet => Self::Turned(Turned::rivet(rng)),
+            Part::Torus => Self::Turned(Turned::torus(rng)),
+            Part::Clip => Self::Fastener(Fastener::clip(rng)),
+            Part::FirTree => Self::Fastener(Fastener::fir_tree(rng)),
             Part::Clutter => Self::Clutter(Clutter::sample(rng)),
             Part::Nothing => return None,
         })
@@ -358,6 +382,8 @@ impl Distractor {
                 rounded_edge(upper.min(lower), *fillet).max(rounded_edge(lower, *fillet) - step)
             }
             Self::Ring(stud) => stud.height(x, y),
+            Self::Turned(part) => part.height(x, y),
+            Self::Fastener(part) => part.height(x, y),
             Self::Clutter(thing) => thing.height(x, y),
             Self::Relief(relief) => relief.height(x, y),
             Self::Snap(snap) => snap.height(x, y),
@@ -401,6 +427,8 @@ impl Distractor {
                 Some(*half)
             }
             Self::Ring(stud) => Some([stud.diameter / 2.0, stud.diameter / stud.oval / 2.0]),
+            Self::Turned(part) => Some([part.reach(); 2]),
+            Self::Fastener(part) => Some(part.half_size()),
             Self::Clutter(thing) => Some(thing.half_size()),
             Self::Relief(relief) => Some(relief.half_size()),
             Self::Snap(snap) => Some(snap.half_size()),

@@ -89,6 +89,18 @@ pub struct Forced {
     pub depth: Option<Span>,
     /// The recess of screws' heads.
     pub drive: Option<Drive>,
+    /// Free gel between parts that stand side by side, in millimetres: two to five of them then do.
+    pub gap: Option<Span>,
+    /// The longer side of snaps in millimetres.
+    pub size: Option<Span>,
+    /// Whether the barbs of hooks vary twice as much in length, width and rounding.
+    pub barbs: Option<bool>,
+    /// See [`Conditions::darkness`](super::conditions::Conditions::darkness).
+    pub darkness: Option<Span>,
+    /// See [`Conditions::rim`](super::conditions::Conditions::rim).
+    pub rim: Option<Span>,
+    /// See [`Conditions::light_deg`](super::conditions::Conditions::light_deg): lamps on that side alone.
+    pub light: Option<Span>,
 }
 
 /// A condition that cannot be forced as asked.
@@ -107,7 +119,7 @@ const THINNEST_MM: f64 = 2.5;
 const DEEPEST: f64 = 0.8;
 
 /// Keys whose values are numbers, with the numbers they take.
-const NUMBERS: [(&str, f64, f64); 18] = [
+const NUMBERS: [(&str, f64, f64); 23] = [
     ("scale", 0.25, 4.0),
     ("strength", 0.1, 10.0),
     ("shadows", 0.0, 1.0),
@@ -126,16 +138,21 @@ const NUMBERS: [(&str, f64, f64); 18] = [
     ("bead", 0.0, 0.6),
     ("fillet", 0.02, 1.0),
     ("depth", 0.05, 3.0),
+    ("gap", 0.0, 10.0),
+    ("size", 2.0, 15.0),
+    ("darkness", 0.0, 0.95),
+    ("rim", -0.9, 2.0),
+    ("light", -180.0, 180.0),
 ];
 
 /// Keys that are or are not.
-const FLAGS: [&str; 6] = ["mild", "housing", "wall", "side", "cut", "touching"];
+const FLAGS: [&str; 7] = ["mild", "housing", "wall", "side", "cut", "touching", "barbs"];
 
 impl Forced {
     /// Whether snaps are drawn as in plain pictures.
     pub fn leaves_parts_plain(&self) -> bool {
         let stud = [self.slots, self.hole, self.bead, self.fillet];
-        let hook = [self.wall, self.side].contains(&Some(true));
+        let hook = [self.wall, self.side, self.barbs].contains(&Some(true)) || self.size.is_some();
         let shaped = hook || stud.iter().any(Option::is_some);
         self.mild && !shaped
     }
@@ -201,6 +218,11 @@ impl Forced {
                 "hole" => &mut self.hole,
                 "bead" => &mut self.bead,
                 "fillet" => &mut self.fillet,
+                "gap" => &mut self.gap,
+                "size" => &mut self.size,
+                "darkness" => &mut self.darkness,
+                "rim" => &mut self.rim,
+                "light" => &mut self.light,
                 _ => &mut self.depth,
             };
             *target = Some(Span { low, high });
@@ -218,6 +240,7 @@ impl Forced {
                 "wall" => self.wall = Some(flag),
                 "side" => self.side = Some(flag),
                 "cut" => self.cut = Some(flag),
+                "barbs" => self.barbs = Some(flag),
                 _ => self.touching = Some(flag),
             }
             return Ok(());

@@ -108,6 +108,7 @@ impl Given {
             ("distortion", true, forced.distortion.is_some()),
             ("housing", true, forced.housing.is_some()),
             ("optics", light, forced.optics.is_some()),
+            ("light", light, forced.light.is_some()),
             ("strength", light, forced.strength.is_some()),
             ("colour", light || flat, forced.colour.is_some()),
             ("markers", flat || self.sensor.markers.is_some(), forced.markers.is_some()),

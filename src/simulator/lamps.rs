@@ -6,7 +6,7 @@
 //! `gain` scales the change of brightness to the strength that was drawn: a way to reach the
 //! contrasts of real sensors, not a law.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec2, DVec3, Vec3};
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
@@ -22,6 +22,14 @@ pub struct Lamp {
     pub distance_mm: f64,
     /// Light in the middle for red, green and blue.
     pub colour: [f64; 3],
+}
+
+impl Lamp {
+    /// What its light is worth along the gel in the gel's middle, for the mean channel.
+    pub fn along_gel(&self) -> DVec2 {
+        let power = self.colour.iter().sum::<f64>() / 3.0;
+        DVec2::from_angle(self.ray.azimuth) * (power * self.ray.elevation.cos())
+    }
 }
 
 /// How lamps stand round the gel.
@@ -106,6 +114,14 @@ impl Lamps {
             gloss: if rng.random_bool(0.4) { rng.random_range(0.05..0.5) } else { 0.0 },
             falloff: rng.random_range(0..=2),
             gain: 1.0,
+        }
+    }
+
+    /// Leaves one lamp or two, on this side of the gel (in radians from x towards y).
+    pub fn gather(&mut self, rng: &mut Pcg64, azimuth: f64) {
+        self.lamps.truncate(rng.random_range(1..=2));
+        for lamp in &mut self.lamps {
+            lamp.ray.azimuth = azimuth + rng.random_range(-0.3..0.3);
         }
     }
 

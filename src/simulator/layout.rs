@@ -99,12 +99,12 @@ fn footprint(placed: &Placed<Distractor>) -> Footprint {
 }
 
 /// Lays out a wide scene.
-struct Layout<'a> {
-    rng: &'a mut Pcg64,
-    forced: &'a Forced,
-    own: &'a Own,
-    visible: Region,
-    scene: Scene,
+pub(super) struct Layout<'a> {
+    pub(super) rng: &'a mut Pcg64,
+    pub(super) forced: &'a Forced,
+    pub(super) own: &'a Own,
+    pub(super) visible: Region,
+    pub(super) scene: Scene,
     taken: Vec<Footprint>,
 }
 
@@ -128,6 +128,9 @@ impl Scene {
 
 impl Layout<'_> {
     fn fill(&mut self, mix: Mix, part: Option<Part>) {
+        if let Some(gap) = self.forced.gap.filter(|_| mix != Mix::Bare) {
+            return self.fill_with_company(gap, mix, part);
+        }
         // One part to 150 mm², four at most.
         let [x0, y0, x1, y1] = self.visible;
         let room = (((x1 - x0) * (y1 - y0) / 150.0) as usize).clamp(1, 4);
@@ -170,7 +173,7 @@ impl Layout<'_> {
         }
     }
 
-    fn draw_part(&mut self, part: Option<Part>) -> Part {
+    pub(super) fn draw_part(&mut self, part: Option<Part>) -> Part {
         match part {
             Some(part) => part,
             None if self.rng.random_bool(0.06) => Part::Edge,
@@ -209,14 +212,19 @@ impl Layout<'_> {
         self.taken.iter().all(|other| other.gap(footprint) > CLEARANCE_MM)
     }
 
-    fn add_snap(&mut self, kind: &Kind) {
+    /// A snap of this kind, and how deep it is pressed.
+    pub(super) fn draw_snap(&mut self, kind: &Kind) -> (Snap, f64) {
         let mut part = Snap::sample_wide(self.rng, kind, self.forced);
         let mut depth_mm = part.sample_wide_depth(self.rng);
         if self.forced.leaves_parts_plain() {
             part = Snap::sample(self.rng, kind);
             depth_mm = part.sample_depth(self.rng);
         }
-        let depth_mm = self.forced.depth.map_or(depth_mm, |span| span.sample(self.rng));
+        (part, self.forced.depth.map_or(depth_mm, |span| span.sample(self.rng)))
+    }
+
+    fn add_snap(&mut self, kind: &Kind) {
+        let (part, depth_mm) = self.draw_snap(kind);
         // A long wall at a large tilt would go deeper than any snap.
         let walled = matches!(part, Snap::Hook(Hook { wall: true, .. }));
         let tilt = sample_tilt(self.rng, if walled { 1.0 } else { 3.5 });
@@ -227,18 +235,23 @@ impl Layout<'_> {
             let yaw = sample_yaw(self.rng);
             let center_mm = self.place(half, yaw, cut);
             let placed = Placed { part: part.clone(), center_mm, yaw, tilt, depth_mm };
-            let wall = match &placed.part {
-                Snap::Hook(hook @ Hook { wall: true, .. }) => {
-                    let above = if hook.on_side.is_some() { 0.0 } else { -hook.undercut };
-                    self.wall(&placed, half, above)
-                }
-                _ => Vec::new(),
-            };
+            let wall = self.wall_of(&placed);
             if self.claim(Footprint { center: center_mm, half, yaw }, &wall) {
                 self.scene.snaps.push(placed);
                 self.scene.distractors.extend(wall);
                 return;
             }
+        }
+    }
+
+    /// The wall that a snap grows from, if it has one.
+    pub(super) fn wall_of(&mut self, placed: &Placed<Snap>) -> Vec<Placed<Distractor>> {
+        match &placed.part {
+            Snap::Hook(hook @ Hook { wall: true, .. }) => {
+                let above = if hook.on_side.is_some() { 0.0 } else { -hook.undercut };
+                self.wall(placed, placed.part.half_size(), above)
+            }
+            _ => Vec::new(),
         }
     }
 

@@ -7,11 +7,11 @@
 //! | `error` | | typed errors |
 //! | [`gel`], [`contact`], [`shadow`] | mechanics, light | the elastic layer, contact with a rigid body; shadows |
 //! | [`forced`], [`conditions`] | conditions | what differs from sensor to sensor, forced or drawn |
-//! | [`clutter`], [`snaps`], [`distractors`] | parts | height fields of what presses on the gel |
+//! | [`clutter`], [`turned`], [`fasteners`], [`snaps`], [`distractors`] | parts | height fields of what presses on the gel |
 //! | [`smooth`] | mechanics | smoothed reliefs |
-//! | [`camera`], [`optics`], [`lamps`] | camera, light | parallax, distortion, defocus, noise; brightness of a slope, measured or modelled |
+//! | [`camera`], [`optics`], [`lamps`], [`tone`] | camera, light | parallax, distortion, defocus, noise; brightness of a slope, measured or modelled; of depth and rims |
 //! | [`surface`] | mechanics | the gel's surface under a body |
-//! | [`scene`], [`layout`] | layout | draws a plain or a wide scene and makes one rigid body of it |
+//! | [`scene`], [`layout`], `company` | layout | draws a plain or a wide scene and makes one rigid body of it; parts side by side |
 //! | [`coating`], [`markers`] | coating | the coating, its wear and its dust; its print |
 //! | [`label`] | labels | boxes round the imprints, seen through the same camera |
 //! | [`calibrate`] | truth | fits the optics to real presses and measures the distance to them |
@@ -48,10 +48,12 @@ pub mod calibrate;
 pub mod camera;
 pub mod clutter;
 pub mod coating;
+mod company;
 pub mod conditions;
 pub mod contact;
 pub mod dataset;
 pub mod distractors;
+pub mod fasteners;
 pub mod forced;
 pub mod gel;
 pub mod given;
@@ -74,6 +76,8 @@ pub mod shadow;
 pub mod smooth;
 pub mod snaps;
 pub mod surface;
+pub mod tone;
+pub mod turned;
 
 mod error;
 

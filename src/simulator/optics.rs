@@ -6,6 +6,7 @@
 
 use std::sync::OnceLock;
 
+use glam::DVec2;
 use rand::RngExt;
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
@@ -116,9 +117,15 @@ impl Shading {
     /// The direction on the gel in which a channel's light comes in the picture's middle: where a
     /// slope against it is brightest. In radians from x towards y.
     pub fn azimuth(&self, channel: usize) -> f64 {
+        let DVec2 { x, y } = self.along_gel(channel);
+        y.atan2(x)
+    }
+
+    /// The same, as long as the change of brightness with the slope against it.
+    pub fn along_gel(&self, channel: usize) -> DVec2 {
         let [nx, ny, ..] = self.channels[channel];
         // The gradient of depth points away from the light on a lit slope.
-        f64::atan2(-ny[0], -nx[0])
+        DVec2::new(-nx[0], -ny[0])
     }
 
     /// Draws a sensor: one of the real ones, turned, its lights mixed into channels.

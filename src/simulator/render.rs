@@ -216,7 +216,7 @@ impl Renderer {
         seed: u64,
         request: &Request,
         frame: Raster,
-        conditions: Conditions,
+        mut conditions: Conditions,
         scenes: &mut Pcg64,
         sensor: &mut Pcg64,
     ) -> Result<Rendered, Error> {
@@ -285,6 +285,7 @@ impl Renderer {
             if let Some(given) = &request.sensor {
                 given.dress(&mut look);
             }
+            conditions.light_deg = look.light_deg();
             let sideways = look.markers.is_some().then(|| plan.sideways(&contact, sensor));
             let mut displacement = contact.displacement;
             smooth::blur(grid.cells, &mut displacement, skin_cells);
@@ -376,6 +377,9 @@ fn plain_conditions(look: &Appearance, layer: Layer, window: PixelBox) -> Condit
         distortion: 0.0,
         snr_db: look.camera.snr_db,
         window,
+        darkness: 0.0,
+        rim: 0.0,
+        light_deg: None,
     }
 }
 

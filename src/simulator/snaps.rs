@@ -54,6 +54,9 @@ pub enum Barb {
     TwoRamps(f64),
 }
 
+/// Greatest undercut that is drawn, in millimetres.
+const MOST_UNDERCUT_MM: f64 = 1.1;
+
 /// Kind A: an arm with a barb at its tip, seen from the barb's side. Lengths in millimetres.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Hook {
@@ -61,8 +64,10 @@ pub struct Hook {
     pub length: f64,
     /// Width at the barb, along y.
     pub width: f64,
-    /// Width at the root over the width at the barb, at least 1.
+    /// Width at the root over the width of the arm behind the barb, at least 1.
     pub taper: f64,
+    /// Width of the barb over that of the arm behind it, at least 1.
+    pub flare: f64,
     /// Thickness of the arm.
     pub thickness: f64,
     /// Height of the barb over the arm.
@@ -101,6 +106,7 @@ impl Hook {
             length,
             width: area / length,
             taper: if rng.random_bool(0.5) { rng.random_range(1.0..1.15) } else { 1.0 },
+            flare: 1.0,
             thickness: rng.random_range(1.0..1.5),
             undercut: rng.random_range(0.5..0.8),
             land: rng.random_range(0.3..0.9),
@@ -126,6 +132,7 @@ impl Hook {
             length,
             width: (area / length).clamp(2.5, 6.0),
             taper: if rng.random_bool(0.4) { rng.random_range(1.0..1.4) } else { 1.0 },
+            flare: 1.0,
             thickness: rng.random_range(1.0..1.8),
             undercut: rng.random_range(0.45..1.1),
             land: rng.random_range(0.2..1.2),
@@ -136,6 +143,57 @@ impl Hook {
             on_side: on_side.then_some(side),
             wall,
         }
+    }
+
+    /// With a barb drawn from twice as wide a range of shapes.
+    fn with_varied_barb(mut self, rng: &mut Pcg64) -> Self {
+        self.barb = match rng.random_range(0..4) {
+            0 => Barb::Ramp,
+            1 => Barb::Square,
+            2 => Barb::Round,
+            _ => Barb::TwoRamps(rng.random_range(25f64..80.0).to_radians()),
+        };
+        self.undercut = rng.random_range(0.25..1.1);
+        self.land = rng.random_range(0.1..0.4 * self.length);
+        self.lead_in = rng.random_range(15f64..65.0).to_radians();
+        self.fillet = rng.random_range(0.05f64.ln()..0.6f64.ln()).exp();
+        self.corner = rng.random_range(0.05..0.35 * self.width);
+        self.flare = if rng.random_bool(0.5) { rng.random_range(1.0..1.8) } else { 1.0 };
+        // Some of the arm stays behind the barb.
+        while self.face() < -0.15 * self.length && self.land > 0.05 {
+            self.land *= 0.7;
+            self.lead_in = (1.1 * self.lead_in).min(1.2);
+        }
+        self
+    }
+
+    fn scaled(self, factor: f64) -> Self {
+        Self {
+            length: factor * self.length,
+            width: factor * self.width,
+            thickness: factor * self.thickness,
+            // A deeper press than gels are drawn for would show no more of it.
+            undercut: (factor * self.undercut).min(MOST_UNDERCUT_MM),
+            land: factor * self.land,
+            fillet: factor * self.fillet,
+            corner: factor * self.corner,
+            ..self
+        }
+    }
+
+    /// Distance inside the outline of a hook that lies on its back.
+    fn outline(&self, x: f64, y: f64) -> f64 {
+        let half = self.length / 2.0;
+        // From 0 at the barb's tip to 1 at the root.
+        let along = ((half - x) / self.length).clamp(0.0, 1.0);
+        let half_width = self.width / 2.0 * (1.0 + (self.taper - 1.0) * along) / self.flare;
+        let arm = rectangle(x, y, [half, half_width], self.corner.min(half_width));
+        if self.flare <= 1.0 {
+            return arm;
+        }
+        let length = half - self.face();
+        let barb = [length / 2.0, self.width / 2.0];
+        arm.max(rectangle(x - half + barb[0], y, barb, self.corner.min(barb[0])))
     }
 
     /// Place along x of the barb's retention face, the arm's middle being 0.
@@ -161,15 +219,10 @@ impl Hook {
                 self.fillet,
             );
         }
-        let half = self.length / 2.0;
-        // From 0 at the barb's tip to 1 at the root.
-        let along = ((half - x) / self.length).clamp(0.0, 1.0);
-        let half_width = self.width / 2.0 * (1.0 + (self.taper - 1.0) * along);
-        let outline = rectangle(x, y, [half, half_width], self.corner);
         let face = self.face();
         let land_end = face + self.land;
         let slope = (land_end - x) * self.lead_in.tan();
-        let edge = rounded_edge(outline, self.fillet);
+        let edge = rounded_edge(self.outline(x, y), self.fillet);
         match self.barb {
             Barb::Ramp => {}
             Barb::Square => return rounded_edge(x - face, self.fillet).max(-self.undercut) + edge,
@@ -310,6 +363,17 @@ impl Stud {
             .edged(rng, forced)
     }
 
+    fn scaled(self, factor: f64) -> Self {
+        Self {
+            diameter: factor * self.diameter,
+            bead: factor * self.bead,
+            wall: factor * self.wall,
+            slot_width: factor * self.slot_width,
+            fillet: factor * self.fillet,
+            ..self
+        }
+    }
+
     /// With the edges that are forced; an edge is at most round.
     fn edged(mut self, rng: &mut Pcg64, forced: &Forced) -> Self {
         if let Some(fillet) = forced.fillet {
@@ -379,20 +443,37 @@ impl Snap {
         let area = rng.random_range(14f64.ln()..60f64.ln()).exp();
         let on_side = rng.random_bool(0.12) && !forced.mild;
         let wall = rng.random_bool(0.4) && !forced.mild;
-        match kind {
+        let drawn = match kind {
             Kind::Own(part) => Self::Own(part.clone()),
-            Kind::A => Self::Hook(Hook::sample_wide(
-                rng,
-                area,
-                forced.side.unwrap_or(on_side),
-                forced.wall.unwrap_or(wall),
-            )),
+            Kind::A => {
+                let (on_side, wall) = (forced.side.unwrap_or(on_side), forced.wall.unwrap_or(wall));
+                let hook = Hook::sample_wide(rng, area, on_side, wall);
+                Self::Hook(match forced.barbs {
+                    Some(true) => hook.with_varied_barb(rng),
+                    _ => hook,
+                })
+            }
             Kind::B => {
                 let slots = forced.slots.map(|span| span.sample(rng).round() as u32);
                 let hole = forced.hole.map(|span| span.sample(rng));
                 let stud = Stud::sample_wide(rng, area, slots, hole, forced.bead);
                 Self::Stud(stud.edged(rng, forced))
             }
+        };
+        match forced.size {
+            Some(size) => drawn.sized(size.sample(rng)),
+            None => drawn,
+        }
+    }
+
+    /// Scaled so that its longer side has this length in millimetres; a part of one's own has its size.
+    fn sized(self, size_mm: f64) -> Self {
+        let [a, b] = self.half_size();
+        let factor = size_mm / (2.0 * a.max(b));
+        match self {
+            Self::Own(part) => Self::Own(part),
+            Self::Hook(hook) => Self::Hook(hook.scaled(factor)),
+            Self::Stud(stud) => Self::Stud(stud.scaled(factor)),
         }
     }
 
@@ -423,7 +504,7 @@ impl Snap {
     pub fn half_size(&self) -> [f64; 2] {
         match self {
             Self::Hook(h) if h.on_side.is_some() => [h.length / 2.0, h.profile_height() / 2.0],
-            Self::Hook(h) => [h.length / 2.0, h.width * h.taper / 2.0],
+            Self::Hook(h) => [h.length / 2.0, h.width * (h.taper / h.flare).max(1.0) / 2.0],
             Self::Stud(s) => [s.diameter / 2.0, s.diameter / s.oval / 2.0],
             Self::Own(part) => part.relief.half_size(),
         }
@@ -491,6 +572,7 @@ mod tests {
             length: 8.0,
             width: 4.0,
             taper: 1.0,
+            flare: 1.0,
             thickness: 1.2,
             undercut: 0.8,
             land: 0.5,

@@ -90,6 +90,7 @@ fn head(first: &str, widest: usize) -> Result<(), Failure> {
         "95th, mm",
         "yaw, °",
         "95th, °",
+        "to light, mm",
         "false",
         "where no snap is",
     ];
@@ -99,7 +100,7 @@ fn head(first: &str, widest: usize) -> Result<(), Failure> {
     line(format!("|{}|{}", "-".repeat(widest + 2), rules.concat()))
 }
 
-const WIDTHS: [usize; 10] = [8, 6, 19, 19, 19, 19, 16, 16, 5, 16];
+const WIDTHS: [usize; 11] = [8, 6, 19, 19, 19, 19, 16, 16, 12, 5, 16];
 
 fn row(name: &str, widest: usize, figures: &Figures) -> Result<(), Failure> {
     let Figures { center_error_mm, yaw_error_deg, interval_95, without_snap, .. } = figures;
@@ -119,6 +120,7 @@ fn row(name: &str, widest: usize, figures: &Figures) -> Result<(), Failure> {
         between(center_error_mm.percentile_95, interval_95.center_percentile_95_mm, 3),
         between(yaw_error_deg.median, interval_95.yaw_median_deg, 1),
         between(yaw_error_deg.percentile_95, interval_95.yaw_percentile_95_deg, 1),
+        number(figures.bias_to_light_mm, 3),
         figures.false_alarms.to_string(),
         without,
     ];

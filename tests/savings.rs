@@ -504,3 +504,56 @@ fn what_is_in_doubt_is_not_shown() {
     assert!(found.detections.iter().all(|found| found.score > least), "{:?}", found.detections);
     assert_eq!(found.detections.len(), all.iter().filter(|found| found.score > least).count());
 }
+
+/// Share of the gel that the network looks at: 1 for all of it.
+fn looked_at(found: &Detections) -> f64 {
+    let area = |part: &Rect| f64::from(part.width) * f64::from(part.height);
+    let parts = |parts: &Vec<Rect>| parts.iter().map(area).sum::<f64>() / area(&found.gel);
+    found.regions.as_ref().map_or(1.0, parts)
+}
+
+/// Presses of a ball on a real GelSight, at the scale that their maker states: gel bulges and shades far from the
+/// contact. The even ones set the limits of the contact map, the odd ones judge it here; the label's circle
+/// lies in a part.
+#[test]
+fn real_presses_are_looked_at_where_the_ball_is() {
+    let folder = file("tests/data/gelsight_ball_presses");
+    let read = |name: &str| picture::read(&folder.join(name)).expect("a picture");
+    let background = read("background.png").into_rgb8();
+    let (width, height) = background.dimensions();
+    let background = Arc::new(Frame::new(background.into_raw(), width, height, PixelFormat::Rgb8));
+    let table = std::fs::read_to_string(folder.join("presses.csv")).expect("a table");
+    let numbers = |line: &str| line.split(',').filter_map(|cell| cell.parse().ok()).collect();
+    let circles: Vec<Vec<f64>> = table.lines().skip(1).map(numbers).collect();
+    assert_eq!(circles.len(), 48);
+    for (reference, least) in [(None, 15), (Some(background), 20)] {
+        let mine = Config {
+            reference: reference.clone(),
+            mm_per_pixel: Some(0.0295),
+            ..config(Device::Cpu, Savings::default())
+        };
+        let detector = GpuDetector::new(mine).expect("a detector");
+        let mut shares = Vec::new();
+        for i in (1..48).step_by(2) {
+            let found = detector.detect(&read(&format!("press_{i:02}.png"))).expect("detections");
+            assert!(found.is_empty(), "press {i}: a ball is no snap");
+            shares.push(looked_at(&found));
+            let [.., x, y, radius] = circles[i][..] else { panic!("{:?}", circles[i]) };
+            let holds = |part: &Rect| {
+                let [left, top] = [part.x, part.y].map(f64::from);
+                let [right, bottom] = [part.x + part.width, part.y + part.height].map(f64::from);
+                // What the edge cuts need not be seen beyond it.
+                left <= (x - radius).max(0.0)
+                    && top <= (y - radius).max(0.0)
+                    && right >= (x + radius).min(640.0)
+                    && bottom >= (y + radius).min(480.0)
+            };
+            assert!(found.regions.is_none_or(|parts| parts.iter().any(holds)), "press {i}");
+        }
+        shares.sort_by(f64::total_cmp);
+        let in_parts = shares.iter().filter(|share| **share < 1.0).count();
+        let with = if reference.is_some() { "with" } else { "without" };
+        assert!(in_parts >= least, "{with} a reference {in_parts} of 24: {shares:?}");
+        assert!(shares[12] <= 0.55, "{with} a reference: {shares:?}");
+    }
+}

@@ -14,17 +14,17 @@ struct Params {
     least: f32,
     most: f32,
     clipped: f32,
+    reach: u32,
+    factor: f32,
     // 1 where there is a reference frame.
     referenced: u32,
     // Always 0: in a loop's bound it keeps compilers from unrolling.
     zero: u32,
 }
 
-const REACH: i32 = 2;
 const TILE: u32 = 2u;
 const LEVEL: f32 = 128.0;
 const DARK: f32 = 16.0;
-const FACTOR: f32 = 3.0;
 const STEPS: u32 = 32u;
 const HIDDEN: f32 = 1e9;
 const LANES: u32 = 256u;
@@ -56,15 +56,16 @@ fn difference(channel: u32, x: i32, y: i32, dx: i32, dy: i32) -> f32 {
 
 fn of_cell(x: u32, y: u32) -> f32 {
     let at = vec2(i32(x), i32(y));
+    let reach = i32(params.reach);
     let area = params.height * params.width;
     var lowest = cells[y * params.width + x];
     var largest = 0.0;
     for (var c = 0u; c < 3u + params.zero; c++) {
         lowest = min(lowest, cells[c * area + y * params.width + x]);
-        largest = max(largest, difference(c, at.x, at.y, REACH, 0));
-        largest = max(largest, difference(c, at.x, at.y, 0, REACH));
-        largest = max(largest, difference(c, at.x, at.y, REACH, REACH));
-        largest = max(largest, difference(c, at.x, at.y, REACH, -REACH));
+        largest = max(largest, difference(c, at.x, at.y, reach, 0));
+        largest = max(largest, difference(c, at.x, at.y, 0, reach));
+        largest = max(largest, difference(c, at.x, at.y, reach, reach));
+        largest = max(largest, difference(c, at.x, at.y, reach, -reach));
     }
     return select(largest, HIDDEN, lowest >= params.clipped);
 }
@@ -105,7 +106,7 @@ fn words(@builtin(local_invocation_index) lane: u32) {
     }
     workgroupBarrier();
     for (var tile = lane; tile < params.tiles; tile += LANES) {
-        let needed = of_tile[tile] * FACTOR;
+        let needed = of_tile[tile] * params.factor;
         var step = 0u;
         while step < STEPS + params.zero && needed > limit(step) {
             step++;

@@ -6,7 +6,7 @@ use crate::detector::output::RegionDetection;
 use crate::detector::{Detection, Savings};
 
 /// Sides of parts in pixels of the network's input: few, as each size has an engine of its own.
-const SIDES: [usize; 8] = [96, 128, 160, 192, 256, 320, 384, 512];
+const SIDES: [usize; 9] = [64, 96, 128, 160, 192, 256, 320, 384, 512];
 /// Corners are multiples of this: the cells in which the network proposes boxes are then those of the
 /// whole.
 const GRID: usize = 8;
@@ -172,8 +172,8 @@ mod tests {
     #[test]
     fn contacts_at_the_edges() {
         // Pixels 0 to 8, with margin to 40.
-        assert_eq!(seen(&[[0, 0]]), Some(vec![Region { x: 0, y: 0, width: 96, height: 96 }]));
-        let corner = Region { x: 224, y: 224, width: 96, height: 96 };
+        assert_eq!(seen(&[[0, 0]]), Some(vec![Region { x: 0, y: 0, width: 64, height: 64 }]));
+        let corner = Region { x: 256, y: 256, width: 64, height: 64 };
         assert_eq!(seen(&[[39, 39]]), Some(vec![corner]));
     }
 
@@ -188,9 +188,10 @@ mod tests {
 
     #[test]
     fn much_contact_is_the_whole() {
-        // 96 × 96 of 320 × 320 are 0.09, and each costs 0.06 more: three are 0.45, four 0.6.
-        let corners = [[2, 2], [37, 37], [2, 37], [37, 2]];
-        assert_eq!(seen(&corners[..3]).map(|w| w.len()), Some(3));
+        // 64 × 64 of 320 × 320 are 0.04, 96 × 96 in the middle 0.09, and each costs 0.06 more: four are 0.4,
+        // five 0.55.
+        let corners = [[2, 2], [37, 37], [2, 37], [37, 2], [20, 20]];
+        assert_eq!(seen(&corners[..4]).map(|w| w.len()), Some(4));
         assert_eq!(seen(&corners), None);
         let diagonal: Vec<_> = (0..40).map(|i| [i, i]).collect();
         assert_eq!(seen(&diagonal), None);
@@ -198,7 +199,7 @@ mod tests {
             regions(
                 &TileMap::of([40, 40], &[[2, 2]]),
                 &SQUARE,
-                &Savings { most_of_input: 0.1, ..SAVINGS }
+                &Savings { most_of_input: 0.09, ..SAVINGS }
             ),
             None
         );
@@ -214,9 +215,9 @@ mod tests {
                 &Savings { margin_mm: 4.0, ..Savings::default() },
             )
         };
-        let corners = [[2, 2], [37, 37], [2, 37], [37, 2], [20, 20]];
-        // 0.15 each.
-        assert_eq!(parts(&corners[..3]).map(|w| w.len()), Some(3));
+        let corners = [[2, 2], [37, 37], [2, 37], [37, 2], [20, 20], [20, 30]];
+        // 0.1 each; the two in the middle share one of 0.21.
+        assert_eq!(parts(&corners[..4]).map(|w| w.len()), Some(4));
         assert_eq!(parts(&corners), None);
     }
 
@@ -226,8 +227,8 @@ mod tests {
         let geometry = Geometry { resized: [200, 160], size: [160, 224] };
         let map = TileMap::of([20, 25], &[[24, 19]]);
         let got = regions(&map, &geometry, &SAVINGS).expect("a part");
-        // Pixels 192 to 200 and margin up to 224: from 160, 64 long, in 96; 128 up to 160 in 96.
-        assert_eq!(got, [Region { x: 128, y: 64, width: 96, height: 96 }]);
+        // Pixels 192 to 200 and margin up to 224: from 160, 64 long; 120 up to 160 in 64.
+        assert_eq!(got, [Region { x: 160, y: 96, width: 64, height: 64 }]);
     }
 
     /// Its logit is to be the score's, as far as order goes.
@@ -299,13 +300,13 @@ mod tests {
     }
 
     /// Two inputs long and one high for the same number of millimetres: cells of 4 × 8 pixels. Tile (10, 5) is
-    /// columns 80 to 88 and rows 80 to 96, and a millimetre 8 × 16 pixels. Parts are 96 long: of the 72 and 48
+    /// columns 80 to 88 and rows 80 to 96, and a millimetre 8 × 16 pixels. Parts are 64 long: of the 40 and 16
     /// pixels that are over half lies before, in whole eights.
     #[test]
     fn each_axis_has_a_scale_of_its_own() {
         let geometry = Geometry { resized: [320, 160], size: [160, 320] };
         let savings = Savings { margin_mm: 1.0, ..SAVINGS };
         let got = regions(&TileMap::of([10, 40], &[[10, 5]]), &geometry, &savings).expect("a part");
-        assert_eq!(got, [Region { x: 40, y: 40, width: 96, height: 96 }]);
+        assert_eq!(got, [Region { x: 56, y: 56, width: 64, height: 64 }]);
     }
 }

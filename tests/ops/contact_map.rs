@@ -2,7 +2,14 @@ use crate::support::{check_op, refusal};
 use smr_gpu::engine::ops::ContactMap;
 use smr_gpu::engine::shape::TensorSpec;
 
-const OWN: ContactMap = ContactMap { least: 0.0625, most: 0.25, clipped: 250.0, reference: false };
+const OWN: ContactMap = ContactMap {
+    least: 0.0625,
+    most: 0.25,
+    clipped: 250.0,
+    reach: 2,
+    factor: 3.0,
+    reference: false,
+};
 
 #[test]
 fn shader_matches_reference_and_hand() {

@@ -15,6 +15,8 @@ shader_params! {
         least: f32,
         most: f32,
         clipped: f32,
+        reach: u32,
+        factor: f32,
         referenced: u32,
         zero: u32,
     }
@@ -51,6 +53,8 @@ impl Kernel for Planar {
             least: op.least,
             most: op.most,
             clipped: op.clipped,
+            reach: op.reach,
+            factor: op.factor,
             referenced: op.reference.into(),
             zero: 0,
         };

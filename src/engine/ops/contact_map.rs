@@ -18,6 +18,8 @@ pub static ENTRY: Entry = Entry {
         Param::optional("least", "0.01", Range::Number(0.0, f32::MAX)),
         Param::optional("most", "0.04", Range::Number(0.0, f32::MAX)),
         Param::optional("clipped", "250", Range::Number(0.0, f32::MAX)),
+        Param::optional("reach", "1", Range::Whole(1, 8)),
+        Param::optional("factor", "4", Range::Number(0.0, f32::MAX)),
     ],
     build,
     cases,
@@ -38,6 +40,10 @@ pub struct ContactMap {
     pub most: f32,
     /// From this level on in all channels a cell shows nothing, and may be touched.
     pub clipped: f32,
+    /// Cells from one to each of the two with which it is compared.
+    pub reach: u32,
+    /// Touched tiles differ by more than so many times what the calmest quarter of all differs by.
+    pub factor: f32,
     /// Whether there is a reference frame.
     pub reference: bool,
 }
@@ -59,6 +65,8 @@ impl Op for ContactMap {
             ("least", self.least.into()),
             ("most", self.most.into()),
             ("clipped", self.clipped.into()),
+            ("reach", self.reach.into()),
+            ("factor", self.factor.into()),
         ]
     }
 
@@ -85,7 +93,8 @@ impl Op for ContactMap {
     }
 
     fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {
-        let rule = ContactRule { least: self.least, most: self.most, clipped: self.clipped };
+        let Self { least, most, clipped, reach, factor, .. } = *self;
+        let rule = ContactRule { least, most, clipped, reach, factor };
         let reference = inputs.get(1).map(|r| r.f32()).transpose()?;
         let words = reference::contact_map(inputs[0].f32()?, reference, rule);
         Ok(vec![Tensor::new(specs[0].shape.clone(), words)?.into()])
@@ -103,14 +112,22 @@ fn build(params: &mut Named, present: &[&str]) -> Result<Box<dyn Op>> {
         least: params.take("least", 0.01)?,
         most: params.take("most", 0.04)?,
         clipped: params.take("clipped", 250.0)?,
+        reach: params.take("reach", 1)?,
+        factor: params.take("factor", 4.0)?,
         reference: present.contains(&"reference"),
     }))
 }
 
 fn cases() -> Vec<Case> {
     // Limits in steps of 3/512, so that none rounds.
-    const OWN: ContactMap =
-        ContactMap { least: 0.0625, most: 0.25, clipped: 250.0, reference: false };
+    const OWN: ContactMap = ContactMap {
+        least: 0.0625,
+        most: 0.25,
+        clipped: 250.0,
+        reach: 2,
+        factor: 3.0,
+        reference: false,
+    };
     const AGAINST: ContactMap = ContactMap { reference: true, ..OWN };
     const FIXED: ContactMap = ContactMap { most: 0.0625, ..OWN };
     let map = |dims: [usize; 3], level: &dyn Fn(usize, usize, usize) -> f32| -> Value {
@@ -147,6 +164,13 @@ fn cases() -> Vec<Case> {
             vec![map(line, &spot(-24.0))],
             &[1 << 3 | 1 << 4 | 1 << 5],
         ),
+        // With a reach of 1 it is the cells 8 and 10 that are 12 of 116 off.
+        by_hand(
+            "a dark spot of 24 and a reach of 1 by hand",
+            ContactMap { reach: 1, ..OWN },
+            vec![map(line, &spot(-24.0))],
+            &[1 << 4 | 1 << 5],
+        ),
         // Past the edge its own level counts: half of two steps, 12 of 28 at the left, 12 of 232 at the
         // right; and nothing between.
         by_hand(
@@ -179,6 +203,13 @@ fn cases() -> Vec<Case> {
         // Cell 9 is 13/126 = 0.1032 above its surroundings, or 12/126 = 0.0952.
         by_hand("clouds and 13 by hand", OWN, vec![map(line, &clouds(2.0, 139.0))], &[1 << 4]),
         by_hand("clouds and 12 by hand", OWN, vec![map(line, &clouds(2.0, 138.0))], &[0]),
+        // 4 · 4/130 = 0.1231 puts the limit at 0.0625 + 11 · 3/512 = 0.1270.
+        by_hand(
+            "clouds and a factor of 4 by hand",
+            ContactMap { factor: 4.0, ..OWN },
+            vec![map(line, &clouds(2.0, 139.0))],
+            &[0],
+        ),
         // Of eight tiles two are a quarter: 3 · 2/128 is below the least limit, 8/126 above.
         by_hand(
             "a quarter is calm by hand",

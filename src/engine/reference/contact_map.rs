@@ -11,19 +11,19 @@ pub struct ContactRule {
     pub most: f32,
     /// From this level on in all channels a cell shows nothing, so that it may hide a contact.
     pub clipped: f32,
+    /// Cells from one to each of the two with which it is compared.
+    pub reach: u32,
+    /// Touched tiles differ by more than so many times what the calmest quarter of all differs by.
+    pub factor: f32,
 }
 
 impl ContactRule {
-    /// Cells from one to each of the two with which it is compared.
-    pub const REACH: usize = 2;
     /// Cells of a tile's side.
     pub const TILE: usize = 2;
     /// Darker surroundings count as this level, lest their noise grow.
     pub const DARK: f32 = 16.0;
     /// The level to which a reference frame is brought.
     pub const LEVEL: f32 = 128.0;
-    /// Touched tiles differ by more than so many times what the calmest quarter of all differs by.
-    pub const FACTOR: f32 = 3.0;
     /// Steps from `least` to `most`.
     pub const STEPS: usize = 32;
     /// What a tile with a clipped cell is taken to differ by.
@@ -39,19 +39,19 @@ impl ContactRule {
 /// Which tiles of `cells` `[3, H, W]`, levels from 0 to 255, are in contact: row by row, a bit each, the
 /// first the lowest of the first word.
 ///
-/// Each cell is compared with the middle of the two at [`ContactRule::REACH`] from it on either side, across,
+/// Each cell is compared with the middle of the two at [`ContactRule::reach`] from it on either side, across,
 /// along, and on both diagonals, as a share of that middle; past the edge the edge's cells count. So light
 /// that changes evenly over the gel cancels, and its strength does. With a `reference` of the same shape each
 /// cell is divided by its own there first. A tile differs by as much as the cell of it that differs most.
 ///
 /// Clouds of the coating and noise are all over a gel, contact is here and there: a tile is touched if it
 /// differs by more than a limit, the first of those between [`ContactRule::least`] and
-/// [`ContactRule::most`] that is [`ContactRule::FACTOR`] times what a quarter of the tiles stay below.
+/// [`ContactRule::most`] that is [`ContactRule::factor`] times what a quarter of the tiles stay below.
 pub fn contact_map(cells: &Tensor, reference: Option<&Tensor>, rule: ContactRule) -> Vec<u32> {
     let [height, width] = [1, 2].map(|i| cells.dims()[i]);
-    let differences = differences(cells, reference, rule.clipped);
+    let differences = differences(cells, reference, rule);
     let calm = |limit: f64| {
-        let under = differences.iter().filter(|d| **d * f64::from(ContactRule::FACTOR) <= limit);
+        let under = differences.iter().filter(|d| **d * f64::from(rule.factor) <= limit);
         4 * under.count() >= differences.len()
     };
     let limits = (0..ContactRule::STEPS).map(|step| rule.limit(step));
@@ -67,7 +67,7 @@ pub fn contact_map(cells: &Tensor, reference: Option<&Tensor>, rule: ContactRule
 }
 
 /// What each tile differs by, row by row.
-fn differences(cells: &Tensor, reference: Option<&Tensor>, clipped: f32) -> Vec<f64> {
+fn differences(cells: &Tensor, reference: Option<&Tensor>, rule: ContactRule) -> Vec<f64> {
     let [height, width] = [1, 2].map(|i| cells.dims()[i]);
     let area = height * width;
     let dark = f64::from(ContactRule::DARK);
@@ -78,9 +78,9 @@ fn differences(cells: &Tensor, reference: Option<&Tensor>, clipped: f32) -> Vec<
             level * f64::from(ContactRule::LEVEL) / under
         })
     };
-    let reach = ContactRule::REACH as isize;
+    let reach = rule.reach as isize;
     let of_cell = |x: usize, y: usize| {
-        let is_clipped = |c: usize| cells.data()[c * area + y * width + x] >= clipped;
+        let is_clipped = |c: usize| cells.data()[c * area + y * width + x] >= rule.clipped;
         if (0..3).all(is_clipped) {
             return f64::from(ContactRule::HIDDEN);
         }

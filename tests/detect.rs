@@ -169,6 +169,22 @@ fn a_frame_gives_what_its_picture_gives() {
 }
 
 #[test]
+fn an_iterator_that_keeps_the_detector_gives_what_the_detector_does() {
+    let detector = Arc::new(GpuDetector::new(config()).expect("a detector"));
+    let pictures: Vec<_> = samples().images.iter().map(sample).collect();
+    let alone: Vec<_> = pictures.iter().map(|p| detector.detect(p).expect("detections")).collect();
+    let own = |p: &image::DynamicImage| {
+        let bytes = p.to_rgb8().into_raw();
+        Frame::new(bytes, p.width(), p.height(), PixelFormat::Rgb8)
+    };
+    let frames: Vec<Frame<'static>> = pictures.iter().map(own).collect();
+    let found = detector.into_many(frames);
+    let found: Vec<_> = found.map(|found| found.expect("detections")).collect();
+    assert_eq!(found.len(), alone.len());
+    found.iter().zip(&alone).for_each(|(a, b)| assert_same(a, b));
+}
+
+#[test]
 fn options_choose_what_is_shown() {
     let labels = samples();
     let image = labels

@@ -157,12 +157,10 @@ fn seconds(text: &str) -> Result<Duration, String> {
 /// # Errors
 /// In words.
 pub(super) fn sensor(text: &str) -> Result<Sensor, String> {
-    let path = Path::new(text);
-    match Sensor::named(text) {
-        Some(sensor) => Ok(sensor),
-        None if path.exists() => Sensor::open(path).map_err(|e| e.to_string()),
-        None => Err(format!("expected {} or a file", Sensor::NAMES.join(", "))),
-    }
+    Sensor::find(text).map_err(|e| match e {
+        Error::Param { expected, .. } => format!("expected {expected}"),
+        other => other.to_string(),
+    })
 }
 
 fn given(text: &str) -> Result<Given, String> {

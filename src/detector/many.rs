@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::future::{Future, poll_fn};
+use std::ops::Deref;
 use std::pin::Pin;
 use std::task::{Context, Poll, Waker};
 
@@ -28,9 +29,9 @@ impl Begun<'_> {
     }
 }
 
-/// The results of many pictures, as they are asked for.
-pub(crate) struct Many<'a, I> {
-    detector: &'a GpuDetector,
+/// The results of many pictures, as they are asked for, by a detector that is borrowed or shared.
+pub(crate) struct Many<'a, D, I> {
+    detector: D,
     frames: I,
     /// The first first.
     begun: VecDeque<Begun<'a>>,
@@ -38,20 +39,24 @@ pub(crate) struct Many<'a, I> {
     done: VecDeque<Result<Detections>>,
 }
 
-impl<'a, I: Iterator<Item = Frame<'a>>> Many<'a, I> {
-    pub fn new(detector: &'a GpuDetector, frames: I) -> Self {
+impl<'a, D, I> Many<'a, D, I>
+where
+    D: Deref<Target = GpuDetector> + Clone + Send + 'a,
+    I: Iterator<Item = Frame<'a>>,
+{
+    pub fn new(detector: D, frames: I) -> Self {
         Self { detector, frames, begun: VecDeque::new(), done: VecDeque::new() }
     }
 
     /// Begins as many batches as may be in flight.
     fn fill(&mut self) {
-        let detector = self.detector;
-        let batch = detector.session().batch();
-        while self.begun.len() < detector.config.in_flight.max(1) {
+        let batch = self.detector.session().batch();
+        while self.begun.len() < self.detector.config.in_flight.max(1) {
             let frames: Vec<Frame> = self.frames.by_ref().take(batch).collect();
             if frames.is_empty() {
                 break;
             }
+            let detector = self.detector.clone();
             let look: Look = Box::pin(async move { detector.detect_batch(&frames).await });
             let mut begun = Begun::Look(look);
             // On its way to the device while the next frames are made.
@@ -74,7 +79,11 @@ impl<'a, I: Iterator<Item = Frame<'a>>> Many<'a, I> {
     }
 }
 
-impl<'a, I: Iterator<Item = Frame<'a>>> Iterator for Many<'a, I> {
+impl<'a, D, I> Iterator for Many<'a, D, I>
+where
+    D: Deref<Target = GpuDetector> + Clone + Send + 'a,
+    I: Iterator<Item = Frame<'a>>,
+{
     type Item = Result<Detections>;
 
     fn next(&mut self) -> Option<Self::Item> {

@@ -390,6 +390,15 @@ impl GpuDetector {
         many::Many::new(self, frames.into_iter())
     }
 
+    /// [`GpuDetector::detect_many`] of frames that own their bytes, by an iterator that keeps the detector: for
+    /// programs that cannot tell how long they ask it for results.
+    pub fn into_many(
+        self: Arc<Self>,
+        frames: impl IntoIterator<Item = Frame<'static>, IntoIter: Send + 'static>,
+    ) -> impl Iterator<Item = Result<Detections>> + Send + 'static {
+        many::Many::new(self, frames.into_iter())
+    }
+
     /// What to go on with after an error: on a lost device a new one.
     ///
     /// # Errors

@@ -271,6 +271,21 @@ impl Sensor {
         })
     }
 
+    /// The sensor of this name, or else of this file.
+    ///
+    /// # Errors
+    /// [`Error::Param`] for what is neither a name nor a file, and as [`open`](Self::open).
+    pub fn find(text: &str) -> Result<Self> {
+        match Self::named(text) {
+            Some(sensor) => Ok(sensor),
+            None if Path::new(text).exists() => Self::open(Path::new(text)),
+            None => {
+                let expected = format!("{} or a file", Self::NAMES.join(", "));
+                Err(Error::param("detect", "sensor", expected, format!("`{text}`")))
+            }
+        }
+    }
+
     /// Reads a sensor file and the reference frame that it names, relative to the file's folder.
     ///
     /// # Errors
@@ -521,6 +536,20 @@ mod tests {
         let Sensed { gel, scale, .. } = sensor.sense(size).expect("a frame of its shape");
         let Scale { mm_per_pixel, from } = scale.expect("a scale");
         (gel, mm_per_pixel, from)
+    }
+
+    #[test]
+    fn a_sensor_is_found_by_its_name_or_file() {
+        assert_eq!(Sensor::find("digit").expect("a name"), Sensor::digit());
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("own.json");
+        std::fs::write(&file, r#"{"name": "own"}"#).expect("written");
+        let found = Sensor::find(&file.to_string_lossy()).expect("a file");
+        assert_eq!(found, Sensor::plain().called("own"));
+        let message = Sensor::find("nobody").expect_err("an error").to_string();
+        let want = "detect: parameter `sensor`: expected paper, gelsight-mini, digit, plain or a file, got \
+                    `nobody`";
+        assert_eq!(message, want);
     }
 
     #[test]

@@ -21,7 +21,7 @@ const SAMPLES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/samples");
 fn detect(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = command(folder);
     command.arg("detect").args(arguments);
-    command.args(["--weights", SMALL, "--device", "cpu", "--mm-per-pixel", "0.04"]);
+    command.args(["--weights", SMALL, "--device", "cpu"]);
     // Where a test puts its own ffmpeg, and nobody else's.
     command.env("PATH", format!("{}:/bin:/usr/bin", folder.join("bin").display()));
     command
@@ -222,7 +222,7 @@ fn what_is_no_frame_is_named_and_the_others_go_through() {
         ),
         (vec![], vec!["-#0: expected a PNG, JPEG, BMP or TIFF picture, got an empty one"], vec![]),
     ] {
-        let piped = fed(detect(folder.path(), &["-", "--json"]), &stream).expect(1);
+        let piped = fed(detect(folder.path(), &["-", "--json", "--quiet"]), &stream).expect(1);
         let seen: Vec<u64> = frames(&piped).iter().map(|f| f.1).collect();
         assert_eq!(seen, indices, "{told:?}");
         let lines: Vec<&str> = piped.stderr.lines().filter(|line| line.contains("-#")).collect();

@@ -425,12 +425,13 @@ fn bad_pictures_are_named_and_good_ones_go_through() {
     let ran = run(folder.path(), &arguments).expect(1);
 
     let told = ran.told();
-    // One more line, once a size, for the good ones, whose scale is assumed, and one for the first without a snap.
+    // One more line, once a size, for the good ones, whose scale is assumed, one for the first without a snap, and
+    // the last.
     let records = ran.json();
     let size = |r: &Value| ["width", "height"].map(|side| r[side].as_u64().expect("a side"));
     let sizes: BTreeSet<_> = records.iter().map(size).collect();
     assert!(sizes.len() > 1, "{sizes:?}");
-    assert_eq!(told.len(), bad.len() + 4 + sizes.len(), "{told:#?}");
+    assert_eq!(told.len(), bad.len() + 5 + sizes.len(), "{told:#?}");
     let assumed = told.iter().filter(|line| line.contains(": assumed "));
     assert_eq!(assumed.count(), sizes.len(), "{told:#?}");
     for (file, phrase) in bad.iter().chain(&[
@@ -452,7 +453,7 @@ fn bad_pictures_are_named_and_good_ones_go_through() {
         let mut all =
             ["adapter", "contact", "detections", "file", "kernels", "precision", "timings_ms"]
                 .to_vec();
-        all.extend(["left_out", "regions"]);
+        all.extend(["frame", "index", "left_out", "regions", "time_s"]);
         all.extend(size);
         all.sort_unstable();
         assert_eq!(fields, all);

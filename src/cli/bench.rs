@@ -6,7 +6,7 @@ use smr_gpu::{Device, GpuDetector, Savings};
 
 use super::detector::{AdapterArgs, NetworkArgs};
 use super::exit::{Exit, Failure};
-use super::message::tell;
+use super::message::remark;
 use super::output::{json_line, line};
 
 /// Time every command of the network on an adapter
@@ -57,7 +57,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     config.device = Device::Reference;
     let runs = args.runs.into();
     let roof = profile::roof(&gpu, runs)?;
-    tell(format!(
+    remark(format!(
         "{} ({}): {:.1} GMAC/s of multiply-adds, {:.1} GB/s of copies",
         gpu.info().name,
         gpu.info().backend,
@@ -66,7 +66,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     ));
     let mut records: Vec<Record> = Vec::new();
     let detector = GpuDetector::new(config)?;
-    for command in laboratory::profile(&detector, &gpu, runs, tell)? {
+    for command in laboratory::profile(&detector, &gpu, runs, remark)? {
         let seconds = command.time.as_secs_f64();
         let record = Record {
             stage: command.stage,

@@ -12,7 +12,7 @@ use smr_gpu::simulator::calibrate::{
 use super::detector::number;
 use super::draw;
 use super::exit::{Exit, Failure};
-use super::message::tell;
+use super::message::remark;
 use super::output::{count, folder_name, line};
 
 /// Fit a sensor to pictures of a ball pressed into it
@@ -85,7 +85,7 @@ fn write(
 ) -> Result<(), Failure> {
     if let Some(path) = &args.save {
         draw::write(outputs, path, &report.comparison)?;
-        tell(format!(
+        remark(format!(
             "{}: real, simulated, difference ({DIFFERENCE_GAIN} times, about grey)",
             path.display()
         ));
@@ -97,7 +97,7 @@ fn write(
         let text = serde_json::to_string_pretty(&sensor)
             .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", path.display())))?;
         outputs.write(path, text.as_bytes())?;
-        tell(format!("{}: for --sensor", path.display()));
+        remark(format!("{}: for --sensor", path.display()));
     }
     if let Some(path) = &args.optics {
         let name = folder_name(&args.presses);
@@ -108,7 +108,7 @@ fn write(
         let text = serde_json::to_string(&fitted)
             .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", path.display())))?;
         outputs.write(path, text.as_bytes())?;
-        tell(format!("{}: {}", path.display(), count(fitted.len(), "sensor")));
+        remark(format!("{}: {}", path.display(), count(fitted.len(), "sensor")));
     }
     Ok(())
 }

@@ -6,7 +6,7 @@ use smr_gpu::{Device, Error, Precision};
 
 use super::detector::{DeviceArgs, open_gpu};
 use super::exit::{Exit, Failure};
-use super::message::tell;
+use super::message::{remark, tell};
 use super::output::{json_line, line};
 
 /// Compare each kernel of each operation with the f64 reference on this machine
@@ -68,11 +68,11 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let entries = selection.entries()?;
     let target = match open_gpu(&args.device.device)? {
         None => {
-            tell("CPU (f32)");
+            remark("CPU (f32)");
             Target::Cpu
         }
         Some(gpu) => {
-            tell(format!("{} ({})", gpu.info().name, gpu.info().backend));
+            remark(format!("{} ({})", gpu.info().name, gpu.info().backend));
             Target::Gpu(gpu)
         }
     };
@@ -98,7 +98,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             print(&row, &args)?;
             row.failures.iter().for_each(tell);
             for line in &row.overflows {
-                tell(format!("{} in {}: {line}", row.kernel, row.precision));
+                remark(format!("{} in {}: {line}", row.kernel, row.precision));
             }
             all.push(row);
         }

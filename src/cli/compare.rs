@@ -9,7 +9,7 @@ use smr_gpu::{Device, Frame, GpuDetector, Savings, Scale};
 
 use super::detector::{self, AdapterArgs, Assumed, BoxArgs, NetworkArgs, fraction};
 use super::exit::{Exit, Failure};
-use super::message::tell;
+use super::message::{remark, tell};
 use super::output::{count, json_line, line};
 use super::printable::printable;
 use super::source::{Source, column_width, expand_all};
@@ -76,7 +76,7 @@ struct Stage<'a> {
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    let (sources, mut exit) = expand_all(&args.sources)?;
+    let (sources, mut exit) = expand_all(&args.sources, false)?;
     let mut config = args.network.config(Savings::NONE)?;
     config.device = Device::Gpu(args.device.choice()?);
     if sources.is_empty() {
@@ -86,7 +86,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     config.iou = args.boxes.iou;
     config.keep_stages = true;
     let detector = detector::open(config)?;
-    tell(format!("{} against the CPU reference (f64)", detector.adapter()));
+    remark(format!("{} against the CPU reference (f64)", detector.adapter()));
     let alone = sources.len() == 1;
     if !alone && !args.json {
         heading(&sources)?;
@@ -102,7 +102,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
             Err(failure) => return Err(failure.told()),
         };
         for what in assumed.remarks(source, &comparison.found) {
-            tell(what);
+            remark(what);
         }
         match (args.json, alone) {
             (true, _) => json_line(&record(source, &detector, &comparison))?,

@@ -17,9 +17,8 @@ use smr_gpu::{
 use super::adapters::Record;
 use super::exit::{Exit, Failure};
 use super::folders;
-use super::message::tell;
+use super::message::remark;
 use super::probe;
-use super::source::Source;
 
 /// What runs a command.
 #[derive(Debug, clap::Args)]
@@ -340,7 +339,7 @@ fn resolved(device: &Device) -> Result<Device, Failure> {
             Ok(found) if found.iter().any(Record::serves) => Ok(Device::Auto),
             Ok(_) => Ok(Device::Cpu),
             Err(why) => {
-                tell(format!("{why}; going on with the CPU"));
+                remark(format!("{why}; going on with the CPU"));
                 Ok(Device::Cpu)
             }
         },
@@ -354,7 +353,7 @@ fn resolved(device: &Device) -> Result<Device, Failure> {
 pub(super) fn open(mut config: Config) -> Result<GpuDetector, Failure> {
     config.device = resolved(&config.device)?;
     let detector = GpuDetector::new(config)?;
-    detector.remarks().iter().for_each(tell);
+    detector.remarks().iter().for_each(remark);
     Ok(detector)
 }
 
@@ -370,7 +369,7 @@ pub(super) struct Assumed {
 impl Assumed {
     /// What is assumed of a picture, to be told once a size: others of it are most likely of the same sensor;
     /// and once what that may have cost.
-    pub fn remarks(&mut self, source: &Source, found: &Detections) -> Vec<String> {
+    pub fn remarks(&mut self, source: &impl std::fmt::Display, found: &Detections) -> Vec<String> {
         let size = [found.width, found.height];
         let mut remarks = Vec::new();
         if let Some(what) = found.assumption()
@@ -421,7 +420,7 @@ fn weights(given: Option<&Path>) -> Result<WeightSource, Failure> {
     if let Some(given) = given {
         return Ok(catalog.find(given)?);
     }
-    let (found, remark) = catalog.usual()?;
-    remark.into_iter().for_each(tell);
+    let (found, note) = catalog.usual()?;
+    note.into_iter().for_each(remark);
     Ok(found)
 }

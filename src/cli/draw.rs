@@ -1,9 +1,8 @@
-//! Pictures with boxes, names and scores drawn in, and the folder they go to.
+//! Pictures with boxes, names and scores drawn in.
 
-use std::collections::HashMap;
 use std::error::Error;
 use std::io::Cursor;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use ab_glyph::FontRef;
 use glam::Vec2;
@@ -15,12 +14,10 @@ use plotters::coord::Shift;
 use plotters::drawing::{DrawingArea, IntoDrawingArea};
 use plotters::prelude::BitMapBackend;
 use plotters::style::{FontStyle, RGBColor};
-use smr_gpu::files::{self, Outputs};
+use smr_gpu::files::Outputs;
 use smr_gpu::{Detection, Detections};
 
 use super::exit::{Exit, Failure};
-use super::names::shown;
-use super::source::Source;
 
 pub(super) const FONT: &[u8] = include_bytes!("../../assets/font/DejaVuSans-Bold.ttf");
 
@@ -62,8 +59,7 @@ impl<'a> Artist<'a> {
     }
 
     /// The picture with what was found in it, dark where nobody looked.
-    pub fn draw_found(&self, picture: &DynamicImage, found: &Detections) -> RgbImage {
-        let mut canvas = picture.to_rgb8();
+    pub fn draw_found(&self, mut canvas: RgbImage, found: &Detections) -> RgbImage {
         darken(&mut canvas, found.regions.as_deref());
         self.mark(&mut canvas, &found.detections);
         canvas
@@ -268,71 +264,19 @@ pub(super) fn register_chart_font() {
 /// # Errors
 /// [`Exit::Output`].
 pub(super) fn write(outputs: &mut Outputs, path: &Path, picture: &RgbImage) -> Result<(), Failure> {
+    Ok(outputs.write(path, &png(path, picture)?)?)
+}
+
+/// The picture as PNG.
+///
+/// # Errors
+/// [`Exit::Output`], with `path` as its name.
+pub(super) fn png(path: &Path, picture: &RgbImage) -> Result<Vec<u8>, Failure> {
     let mut png = Cursor::new(Vec::new());
     picture
         .write_to(&mut png, ImageFormat::Png)
         .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", path.display())))?;
-    Ok(outputs.write(path, png.get_ref())?)
-}
-
-/// The folder of `--save`.
-pub(super) struct Gallery {
-    folder: PathBuf,
-    /// How often a name was asked for.
-    numbers: HashMap<String, u32>,
-}
-
-impl Gallery {
-    /// Creates the folder.
-    ///
-    /// # Errors
-    /// [`Exit::Output`].
-    pub fn create(folder: &Path) -> Result<Self, Failure> {
-        std::fs::create_dir_all(folder).map_err(|e| {
-            let e = match folder.exists() {
-                true => "expected a folder, got a file".to_owned(),
-                false => format!("cannot write: {e}"),
-            };
-            Failure::new(Exit::Output, format!("{}: {e}", folder.display()))
-        })?;
-        Ok(Self { folder: folder.into(), numbers: HashMap::new() })
-    }
-
-    /// Writes a drawn picture under its source's name as PNG, with a number where that name is
-    /// taken.
-    ///
-    /// # Errors
-    /// [`Exit::Output`].
-    pub fn save(
-        &mut self,
-        outputs: &mut Outputs,
-        source: &Source,
-        picture: &RgbImage,
-    ) -> Result<(), Failure> {
-        let stem = match source {
-            Source::File(path) => path.file_stem().map(shown),
-            Source::Stdin => Some("stdin".into()),
-        };
-        let path = self.free_name(outputs, stem.unwrap_or_else(|| "picture".into()))?;
-        write(outputs, &path, picture)
-    }
-
-    /// A name for a file that may be written: an earlier run's picture is replaced.
-    fn free_name(&mut self, outputs: &Outputs, stem: String) -> Result<PathBuf, files::Error> {
-        let number = self.numbers.entry(stem.clone()).or_default();
-        loop {
-            *number += 1;
-            let name = match *number {
-                1 => format!("{stem}.png"),
-                n => format!("{stem}-{n}.png"),
-            };
-            let path = self.folder.join(name);
-            match outputs.check(&path) {
-                Err(files::Error::Spared { .. } | files::Error::NotReplaceable { .. }) => {}
-                other => return other.map(|()| path),
-            }
-        }
-    }
+    Ok(png.into_inner())
 }
 
 #[cfg(test)]
@@ -421,20 +365,5 @@ mod tests {
             let drawn = artist.draw(&tiny, &[detection([0.0, 0.0, w as f32, h as f32])]);
             assert_eq!(drawn.dimensions(), (w, h));
         }
-    }
-
-    #[test]
-    fn names_are_unique_and_spare_the_pictures() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let original = folder.path().join("x.png");
-        std::fs::write(&original, "mine").expect("written");
-        let sources = [Source::File(original.clone()), Source::File("other/x.jpg".into())];
-        let mut outputs = Outputs::sparing([&original]);
-        let mut gallery = Gallery::create(folder.path()).expect("created");
-        for source in &sources {
-            gallery.save(&mut outputs, source, &RgbImage::new(1, 1)).expect("saved");
-        }
-        assert_eq!(std::fs::read(&original).expect("kept"), b"mine");
-        assert!(folder.path().join("x-2.png").exists() && folder.path().join("x-3.png").exists());
     }
 }

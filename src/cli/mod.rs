@@ -13,7 +13,9 @@ mod devices;
 mod draw;
 mod eval;
 mod exit;
+mod ffmpeg;
 mod folders;
+mod gallery;
 mod message;
 mod names;
 mod op;
@@ -38,11 +40,20 @@ use clap::{Parser, Subcommand};
 use smr_gpu::picture::is_decoding;
 
 use exit::{Exit, Failure};
+use message::Level;
 
 /// Finds snap joints in pictures of a GelSight-like tactile sensor, on any GPU.
 #[derive(Debug, Parser)]
 #[command(version, after_help = exit::HELP)]
 struct Cli {
+    /// Tell what goes wrong, and nothing else.
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    quiet: bool,
+
+    /// Tell more: the time that each frame took.
+    #[arg(short, long, global = true)]
+    verbose: bool,
+
     #[command(subcommand)]
     command: Command,
 }
@@ -98,6 +109,11 @@ fn parse_and_run() -> Result<Exit, Failure> {
             return Ok(Exit::Done);
         }
     };
+    message::set_level(match (cli.quiet, cli.verbose) {
+        (true, _) => Level::Quiet,
+        (false, true) => Level::Verbose,
+        (false, false) => Level::Usual,
+    });
     match cli.command {
         Command::Detect(args) => detect::run(args),
         Command::Devices(args) => devices::run(args),

@@ -13,7 +13,7 @@ use smr_gpu::simulator::snaps::Kind;
 use smr_gpu::smr::MAX_CLASSES;
 
 use super::exit::{Exit, Failure};
-use super::message::tell;
+use super::message::remark;
 use super::names::shown;
 
 /// Longest file of a part's settings, in bytes.
@@ -189,7 +189,7 @@ pub(super) fn own(parts: &[PartArg], negatives: &[PathBuf], cad: &CadArgs) -> Re
             PartArg::B => Kind::B,
             PartArg::Own { name, file } => {
                 let part = OwnPart::new(name.clone(), read(file, cad)?);
-                tell(described(&part));
+                remark(described(&part));
                 for Derived { what, weight, shape } in part.negatives() {
                     let name = format!("{name}-{what}");
                     match shape {
@@ -198,7 +198,7 @@ pub(super) fn own(parts: &[PartArg], negatives: &[PathBuf], cad: &CadArgs) -> Re
                             let negative = Negative::of(name, relief);
                             own.negatives.push(Negative { weight, pressed, ..negative });
                         }
-                        None => tell(format!("{name} looks like the part, and is left out")),
+                        None => remark(format!("{name} looks like the part, and is left out")),
                     }
                 }
                 Kind::Own(part)
@@ -265,8 +265,8 @@ fn read_shape(file: &Path, cad: &CadArgs) -> Result<Relief, Failure> {
     let mesh = Mesh::read(file, cad.unit).map_err(|e| part(e.into()))?;
     let view = View { towards: cad.axis, up: cad.up };
     let (relief, remarks) = Relief::of_mesh(&mesh, view).map_err(part)?;
-    for remark in remarks {
-        tell(format!("{}: {remark}", shown(file.as_os_str())));
+    for what in remarks {
+        remark(format!("{}: {what}", shown(file.as_os_str())));
     }
     Ok(relief)
 }

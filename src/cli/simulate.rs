@@ -17,7 +17,7 @@ use smr_gpu::simulator::scene::{Mix, Own};
 
 use super::detector::sensor;
 use super::exit::{Exit, Failure};
-use super::message::tell;
+use super::message::remark;
 use super::output;
 use super::parts::{self, CadArgs, PartArg, part};
 use super::preview;
@@ -192,7 +192,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         (Some(sheet), _, _, seed) => {
             let mut outputs = Outputs::sparing(parts::files(&args.part));
             preview::write(&mut outputs, &sheet, &own, seed.unwrap_or_default())?;
-            tell(format!("{}: what the simulator makes of the parts", sheet.display()));
+            remark(format!("{}: what the simulator makes of the parts", sheet.display()));
             return Ok(Exit::Done);
         }
         (None, Some(out), Some(count), Some(seed)) => (out, count, seed),
@@ -262,7 +262,7 @@ fn draw(settings: &Settings) -> Result<(), Failure> {
     });
     bar.finish_and_clear();
     let summary = result.map_err(failure)?;
-    tell(format!(
+    remark(format!(
         "{}: {} ({} new), {}",
         settings.out.join("annotations.json").display(),
         output::count(settings.count, "picture"),

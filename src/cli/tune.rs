@@ -11,7 +11,7 @@ use smr_gpu::{Device, GpuDetector, Savings};
 use super::detector::{AdapterArgs, NetworkArgs};
 use super::exit::{Exit, Failure};
 use super::folders::{self, CACHE_VARIABLE};
-use super::message::tell;
+use super::message::remark;
 use super::output::{self, line};
 
 /// Measure which kernels are fastest on an adapter, and keep the choice
@@ -72,7 +72,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     }
     // First of all: stdout's reader may go away.
     files.write(&path, kept.to_json().as_bytes())?;
-    tell(format!("{} ({}): kept in {}", gpu.info().name, gpu.info().backend, path.display()));
+    remark(format!("{} ({}): kept in {}", gpu.info().name, gpu.info().backend, path.display()));
     for (key, kernel) in &tuned.kernels.by_shape {
         line(format!("{kernel:<28} {key}"))?;
     }

@@ -16,7 +16,7 @@ pub use lock::{Lock, lock};
 pub use read::open_or_pipe;
 pub use read::{open, read, read_open, text};
 #[cfg(feature = "simulator")]
-pub use write::{Error, Outputs, check, remove_unfinished, write};
+pub use write::{Error, Outputs, Unfinished, check, remove_unfinished, write};
 
 use std::fs::FileType;
 

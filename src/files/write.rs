@@ -8,7 +8,7 @@
 use std::collections::HashSet;
 use std::ffi::OsStr;
 use std::fs::{self, File, Metadata};
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
@@ -107,6 +107,75 @@ impl Outputs {
         self.spare(path);
         Ok(())
     }
+
+    /// Begins a file that is written bit by bit, and has its name once it is [finished](Self::finish).
+    ///
+    /// # Errors
+    /// As [`write`](Self::write).
+    pub fn create(&self, path: &Path) -> Result<Unfinished, Error> {
+        self.check(path)?;
+        Unfinished::create(path)
+    }
+
+    /// Gives a file its name; from then on it is spared.
+    ///
+    /// # Errors
+    /// As [`write`](Self::write).
+    pub fn finish(&mut self, file: Unfinished) -> Result<(), Error> {
+        let path = file.path.clone();
+        self.check(&path)?;
+        file.finish()?;
+        self.spare(&path);
+        Ok(())
+    }
+}
+
+/// A file that has not its name yet. It is removed when it is dropped before it has.
+#[derive(Debug)]
+pub struct Unfinished {
+    path: PathBuf,
+    file: BufWriter<NamedTempFile<File>>,
+}
+
+impl Unfinished {
+    fn create(path: &Path) -> Result<Self, Error> {
+        let replaced = replaced(path)?;
+        let failed = |source| Error::Io { path: path.to_owned(), source };
+        let file = unfinished(folder_of(path)).map_err(failed)?;
+        if let Some(replaced) = replaced {
+            file.as_file().set_permissions(replaced.permissions()).map_err(failed)?;
+        }
+        Ok(Self { path: path.to_owned(), file: BufWriter::new(file) })
+    }
+
+    /// The name that it is to have.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The name that it has, for another program that writes it.
+    pub fn own_path(&self) -> &Path {
+        self.file.get_ref().path()
+    }
+
+    /// Adds bytes at the end.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn write(&mut self, bytes: &[u8]) -> Result<(), Error> {
+        let written = self.file.write_all(bytes);
+        written.map_err(|source| Error::Io { path: self.path.clone(), source })
+    }
+
+    fn finish(self) -> Result<(), Error> {
+        let Self { path, file } = self;
+        replaced(&path)?;
+        let failed = |source| Error::Io { path: path.clone(), source };
+        let file = file.into_inner().map_err(|e| failed(e.into_error()))?;
+        file.as_file().sync_all().map_err(failed)?;
+        file.persist(&path).map_err(|e| failed(e.error))?;
+        sync_folder(folder_of(&path)).map_err(failed)
+    }
 }
 
 /// Whether [`write()`] may write here.
@@ -123,24 +192,9 @@ pub fn check(path: &Path) -> Result<(), Error> {
 /// [`Error::NotReplaceable`] for a folder, a link, a pipe, a device or a read-only file, and
 /// [`Error::Io`].
 pub fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
-    write_with(path, |file| file.write_all(bytes))
-}
-
-fn write_with(
-    path: &Path,
-    contents: impl FnOnce(&mut File) -> io::Result<()>,
-) -> Result<(), Error> {
-    let replaced = replaced(path)?;
-    let failed = |source| Error::Io { path: path.to_owned(), source };
-    let folder = folder_of(path);
-    let mut file = unfinished(folder).map_err(failed)?;
-    if let Some(replaced) = replaced {
-        file.as_file().set_permissions(replaced.permissions()).map_err(failed)?;
-    }
-    contents(file.as_file_mut()).map_err(failed)?;
-    file.as_file().sync_all().map_err(failed)?;
-    file.persist(path).map_err(|e| failed(e.error))?;
-    sync_folder(folder).map_err(failed)
+    let mut file = Unfinished::create(path)?;
+    file.write(bytes)?;
+    file.finish()
 }
 
 pub(super) fn folder_of(path: &Path) -> &Path {
@@ -275,23 +329,16 @@ mod tests {
     fn a_file_that_is_not_finished_leaves_what_was_there() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("x");
-        let torn = |file: &mut File| {
-            file.write_all(b"a part")?;
-            Err(ErrorKind::StorageFull.into())
+        let torn = || {
+            let mut file = Unfinished::create(&path).expect("begun");
+            file.write(&[7; 1 << 20]).expect("a part");
+            assert!(file.own_path().exists() && file.own_path() != path);
         };
-        let error = write_with(&path, torn).expect_err("a full disk");
-        assert!(error.to_string().starts_with(&format!("{}: cannot write", path.display())));
+        torn();
         assert_eq!(contents(folder.path()), []);
 
         write(&path, b"whole").expect("written");
-        write_with(&path, torn).expect_err("a full disk");
-        let panics = std::panic::AssertUnwindSafe(|| {
-            write_with(&path, |file| {
-                file.write_all(b"a part")?;
-                panic!("in the middle")
-            })
-        });
-        std::panic::catch_unwind(panics).expect_err("a panic");
+        torn();
         assert_eq!(contents(folder.path()), [("x".to_owned(), b"whole".to_vec())]);
         write(&path, b"new").expect("replaced");
         assert_eq!(contents(folder.path()), [("x".to_owned(), b"new".to_vec())]);
@@ -353,7 +400,9 @@ mod tests {
         let error = outputs.check_all([path("gone"), path("gone")]).expect_err("one file");
         assert!(matches!(error, Error::Spared { .. }), "{error}");
         outputs.write(&path("other"), b"new").expect("replaced");
-        outputs.write(&path("gone"), b"new").expect("written");
+        let mut begun = outputs.create(&path("gone")).expect("begun");
+        begun.write(b"new").expect("written");
+        outputs.finish(begun).expect("written");
         let error = outputs.write(&path("gone"), b"lost").expect_err("written before");
         assert!(matches!(error, Error::Spared { .. }), "{error}");
     }

@@ -16,6 +16,7 @@
 mod bmp;
 mod jpeg;
 mod png;
+mod stream;
 mod tiff;
 
 use std::cell::Cell;
@@ -30,6 +31,7 @@ use image::{DynamicImage, ImageDecoder, ImageError};
 use crate::engine::shape::MAX_PIXELS;
 use crate::files;
 pub use jpeg::MAX_SCANS;
+pub use stream::Pictures;
 
 /// Most bytes of a picture as it is stored: [`MAX_PIXELS`] of four channels of 16 bits, and 64 MiB.
 pub const MAX_ENCODED: u64 = MAX_PIXELS as u64 * 8 + (64 << 20);
@@ -293,16 +295,19 @@ fn unreadable(format: Format, error: ImageError) -> Error {
 }
 
 fn check_encoded(length: u64) -> Result<(), Error> {
-    match length <= MAX_ENCODED {
-        true => Ok(()),
-        false => Err(Error::TooLarge {
-            limit: format!("{MAX_ENCODED} bytes"),
-            got: match length == MAX_ENCODED + 1 {
-                true => "more".into(),
-                false => length.to_string(),
-            },
-        }),
+    match length {
+        0..=MAX_ENCODED => Ok(()),
+        // As much was read as shows that there is more.
+        length if length == MAX_ENCODED + 1 => Err(too_long()),
+        length => {
+            let limit = format!("{MAX_ENCODED} bytes");
+            Err(Error::TooLarge { limit, got: length.to_string() })
+        }
     }
+}
+
+fn too_long() -> Error {
+    Error::TooLarge { limit: format!("{MAX_ENCODED} bytes"), got: "more".into() }
 }
 
 fn check_size((width, height): (u32, u32)) -> Result<(), Error> {

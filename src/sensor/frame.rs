@@ -114,11 +114,7 @@ impl<'a> Frame<'a> {
             let expected = format!("at least {row} bytes");
             return Err(Error::param("frame", "stride", expected, self.stride));
         }
-        let rows = match self.format {
-            // Colour differences lie below.
-            PixelFormat::Nv12 => u64::from(height) + u64::from(height / 2),
-            _ => u64::from(height),
-        };
+        let rows = self.format.rows(height);
         let bytes = (self.stride as u64).saturating_mul(rows - 1).saturating_add(row);
         let bytes = if row == 0 { 1 } else { bytes };
         if (self.data.len() as u64) < bytes {
@@ -231,6 +227,29 @@ impl<'a> From<&'a Frame<'_>> for Frame<'a> {
     /// The same pixels, not copied.
     fn from(frame: &'a Frame<'_>) -> Self {
         Self { data: Cow::Borrowed(&frame.data), ..*frame }
+    }
+}
+
+#[cfg(feature = "image")]
+impl Frame<'_> {
+    /// All of the frame in red, green and blue, as the network gets them.
+    ///
+    /// # Errors
+    /// [`Error::Picture`], [`Error::Param`] and [`Error::Capacity`] as
+    /// [`GpuDetector::detect`](crate::GpuDetector::detect).
+    pub fn to_rgb(&self) -> Result<image::RgbImage> {
+        self.check()?;
+        let Self { width, height, .. } = *self;
+        let (words, crop) = self.bytes(Rect { x: 0, y: 0, width, height })?;
+        let bytes: &[u8] = bytemuck::cast_slice(words.data());
+        let (columns, rows) = (width as usize, height as usize);
+        let (mut pixels, mut converted) = (Vec::new(), vec![[0; 3]; columns]);
+        for row in bytes.chunks_exact(columns * crop.order.bytes()).take(rows) {
+            pixels.extend_from_slice(crop.order.rgb(row, &mut converted));
+        }
+        image::RgbImage::from_raw(width, height, pixels).ok_or_else(|| {
+            Error::tensor("frame", "pixels", format!("{width} × {height}"), "another number")
+        })
     }
 }
 
@@ -474,6 +493,8 @@ mod tests {
             let want: Vec<_> =
                 picture.crop_imm(0, 0, 3, 3).to_rgb8().pixels().map(|p| p.0).collect();
             assert_eq!(seen(&Frame::from(&picture)), want, "{:?}", picture.color());
+            let all = Frame::from(&picture).to_rgb().expect("a picture");
+            assert_eq!(all, picture.to_rgb8(), "{:?}", picture.color());
         }
     }
 }

@@ -1,6 +1,9 @@
 //! How a camera's pixels lie in memory, and their colours.
 
+use std::str::FromStr;
+
 use crate::engine::pixel_order::PixelOrder;
+use crate::error::Error;
 
 /// How a frame's pixels lie in memory. What does not stand for itself as red, green and blue is converted
 /// on the CPU.
@@ -45,7 +48,52 @@ pub enum PixelFormat {
     Mjpeg,
 }
 
+/// The formats whose frames have a fixed number of bytes, by name.
+const NAMES: [(&str, PixelFormat); 12] = [
+    ("rgb8", PixelFormat::Rgb8),
+    ("bgr8", PixelFormat::Bgr8),
+    ("rgba8", PixelFormat::Rgba8),
+    ("bgra8", PixelFormat::Bgra8),
+    ("gray8", PixelFormat::Gray8),
+    ("gray16", PixelFormat::Gray16),
+    ("bayer-rggb8", PixelFormat::BayerRggb8),
+    ("bayer-bggr8", PixelFormat::BayerBggr8),
+    ("bayer-grbg8", PixelFormat::BayerGrbg8),
+    ("bayer-gbrg8", PixelFormat::BayerGbrg8),
+    ("yuyv", PixelFormat::Yuyv),
+    ("nv12", PixelFormat::Nv12),
+];
+
+impl FromStr for PixelFormat {
+    type Err = Error;
+
+    /// A format by its name in small letters, `bayer-rggb8` for one; not motion JPEG, whose frames differ in
+    /// length.
+    fn from_str(name: &str) -> Result<Self, Error> {
+        let found = NAMES.iter().find(|(known, _)| *known == name);
+        found.map(|(_, format)| *format).ok_or_else(|| {
+            let known = NAMES.map(|(known, _)| format!("`{known}`")).join(", ");
+            Error::param("frame", "format", format!("one of {known}"), format!("`{name}`"))
+        })
+    }
+}
+
 impl PixelFormat {
+    /// Rows of bytes of a frame with so many rows of pixels: colour differences may lie below.
+    pub(crate) fn rows(self, height: u32) -> u64 {
+        match self {
+            Self::Nv12 => u64::from(height) + u64::from(height / 2),
+            _ => u64::from(height),
+        }
+    }
+
+    /// Bytes of a frame whose rows follow one another without a gap; 0 for motion JPEG, whose frames differ.
+    pub fn frame_bytes(self, width: u32, height: u32) -> u64 {
+        u64::from(width)
+            .saturating_mul(self.bytes_per_pixel() as u64)
+            .saturating_mul(self.rows(height))
+    }
+
     /// Bytes of a pixel in a row; of NV12 in a row of luma, and 0 where there are no rows.
     pub fn bytes_per_pixel(self) -> usize {
         match self {
@@ -172,6 +220,24 @@ mod tests {
         within(bt601(41, 240, 110), [0, 0, 255]);
         // Outside the range it saturates.
         assert_eq!((bt601(0, 128, 128), bt601(255, 128, 128)), ([0; 3], [255; 3]));
+    }
+
+    #[test]
+    fn formats_have_names_and_lengths() {
+        let bytes = |name: &str| {
+            name.parse::<PixelFormat>().map(|f| f.frame_bytes(6, 4)).map_err(|e| e.to_string())
+        };
+        for (name, want) in
+            [("rgb8", 72), ("bgra8", 96), ("bayer-gbrg8", 24), ("yuyv", 48), ("nv12", 36)]
+        {
+            assert_eq!(bytes(name), Ok(want), "{name}");
+        }
+        let told = bytes("mjpeg").expect_err("no fixed length");
+        assert!(
+            told.contains("expected one of `rgb8`, `bgr8`,") && told.ends_with("got `mjpeg`"),
+            "{told}"
+        );
+        assert_eq!(PixelFormat::Nv12.frame_bytes(u32::MAX, u32::MAX), u64::MAX);
     }
 
     #[test]

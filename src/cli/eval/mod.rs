@@ -17,9 +17,9 @@ use smr_gpu::files::{self, Outputs};
 use smr_gpu::{Detections, Frame, GpuDetector, Origin};
 
 use super::detector::{self, Assumed, DetectorArgs, fraction};
-use super::draw::Gallery;
 use super::exit::{Exit, Failure, told};
-use super::message::tell;
+use super::gallery::Gallery;
+use super::message::remark;
 use super::names::{base64, shown};
 use super::output::{bar, folder_name, json_line};
 use super::source::Source;
@@ -240,11 +240,10 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         if let Some(gallery) = &mut gallery {
             let looked_at = set.places.iter().map(|place| &pictures[*place]).zip(&set.seen);
             let sheet = sheet::worst(&looked_at.collect::<Vec<_>>(), &classes, args.conf);
-            let source =
-                Source::File(format!("worst-{}.png", folder_name(&args.data[number])).into());
+            let stem = format!("worst-{}", folder_name(&args.data[number]));
             if let Some(sheet) = sheet {
                 // A file that cannot be written takes no figures with it.
-                let saved = gallery.save(&mut outputs, &source, &sheet);
+                let saved = gallery.save(&mut outputs, &stem, &sheet);
                 together.exit = together.exit.max(progress.suspend(|| told(saved)));
             }
         }
@@ -280,7 +279,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         print::calibration(&report)?;
     }
     if !args.json {
-        print::remark(&report);
+        print::summary(&report);
     }
     Ok(together.exit)
 }
@@ -314,7 +313,7 @@ pub(super) fn detect_all(
         match detect_one(detector, labelled, stated) {
             Ok(found) => {
                 for what in assumed.remarks(&labelled.source, &found) {
-                    progress.suspend(|| tell(what));
+                    progress.suspend(|| remark(what));
                 }
                 set.assumed += usize::from(found.scale.from == Origin::Assumed);
                 set.seconds += found.wall.as_secs_f64();

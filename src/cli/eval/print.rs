@@ -3,7 +3,7 @@
 use smr_gpu::evaluation::{Figures, LEAST_SCORE, Third, share_within};
 
 use super::super::exit::Failure;
-use super::super::message::tell;
+use super::super::message::remark;
 use super::super::output::{count, line};
 use super::super::printable::printable;
 use super::{Labelled, Paper, Report};
@@ -66,7 +66,7 @@ pub(super) fn set_row(
 /// Prints the table by condition, if there are any.
 pub(super) fn conditions(report: &Report) -> Result<(), Failure> {
     if report.conditions.is_empty() {
-        tell("--by-condition: the labels state no conditions");
+        remark("--by-condition: the labels state no conditions");
         return Ok(());
     }
     let name = |condition: &str, value: &str| format!("{condition}: {value}");
@@ -166,7 +166,7 @@ pub(super) fn calibration(report: &Report) -> Result<(), Failure> {
 }
 
 /// Tells on stderr what the figures are of.
-pub(super) fn remark(report: &Report) {
+pub(super) fn summary(report: &Report) {
     let paper = match report.classes.iter().any(|row| row.paper.is_some()) {
         true => "; the paper's figures are its mean IoU and mAP on its own pictures",
         false => "",
@@ -188,7 +188,7 @@ pub(super) fn remark(report: &Report) {
         0 => String::new(),
         some => format!(", {some} at an assumed scale"),
     };
-    tell(format!(
+    remark(format!(
         "{}{assumed} on {}, {:.3} s each; IoU, errors of centres and yaws and false boxes of detections above a \
          score of {}, average precision above {LEAST_SCORE}; in brackets 95 % intervals{empty}{paper}",
         count(report.pictures, "picture"),

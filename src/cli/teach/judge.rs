@@ -73,7 +73,7 @@ pub(super) fn judge(teaching: &Teaching, weights: &Path) -> Result<Judged, Failu
         let mut pictures = eval::read_labels(folder, &classes, &mut outputs)?;
         pictures.retain(|labelled| match &labelled.source {
             Source::File(path) => path.canonicalize().is_ok_and(|path| held_out.contains(&path)),
-            Source::Stdin => false,
+            Source::Stdin | Source::Video(_) | Source::Live(_) => false,
         });
         sets.push((folder_name(folder), Role::Test, pictures));
     }

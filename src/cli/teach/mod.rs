@@ -29,7 +29,7 @@ use smr_gpu::smr::Catalog;
 use super::detector::exact_fraction;
 use super::eval;
 use super::exit::{Exit, Failure};
-use super::message::tell;
+use super::message::remark;
 use super::names::shown;
 use super::output::{bar, count, line};
 use super::parts::{self, CadArgs, PartArg};
@@ -315,7 +315,7 @@ impl Teaching<'_> {
             let snaps = estimate.snaps.iter().map(|(class, n)| format!("{class} {n}"));
             let snaps = snaps.collect::<Vec<_>>().join(", ");
             let (all, none) = (estimate.pictures, estimate.without_snap);
-            tell(format!("{}, {none} of them without a snap; {snaps}", count(all, "picture")));
+            remark(format!("{}, {none} of them without a snap; {snaps}", count(all, "picture")));
         }
         let simulated: usize = self.sets.iter().map(|set| set.settings.count).sum();
         let look = self.sets.iter().filter(|set| matches!(set.role, Role::Test | Role::Negative));
@@ -327,14 +327,14 @@ impl Teaching<'_> {
             let names = self.own.classes.iter().map(|kind| kind.name().to_owned());
             let names = names.collect::<Vec<_>>().join(", ");
             let pictures = count(self.args.pictures as usize, "simulated picture");
-            tell(format!("{pictures} of {names} to learn from"));
-            tell(format!("simulating takes about {}", duration(simulating)));
+            remark(format!("{pictures} of {names} to learn from"));
+            remark(format!("simulating takes about {}", duration(simulating)));
         }
         let Estimate { device, threads, .. } = &estimate;
         let on = format!("{device}, {}", count(*threads, "thread"));
         let steps = count(self.args.steps as usize, "step");
-        tell(format!("{steps} of training take about {} ({on})", duration(training)));
-        tell(format!("all together about {}", duration(simulating + training + look)));
+        remark(format!("{steps} of training take about {} ({on})", duration(training)));
+        remark(format!("all together about {}", duration(simulating + training + look)));
         Ok(())
     }
 
@@ -378,7 +378,7 @@ impl Teaching<'_> {
         }
         bar.finish_and_clear();
         if !self.sets.is_empty() && python::weights_of(&self.run_folder()).is_none() {
-            tell(self.counted()?);
+            remark(self.counted()?);
         }
         Ok(())
     }

@@ -17,7 +17,7 @@ use smr_gpu::{Config, Detection, Detections, Frame, GpuDetector};
 use super::super::detector;
 use super::super::eval::Labelled;
 use super::super::exit::{Exit, Failure};
-use super::super::message::tell;
+use super::super::message::remark;
 use super::super::output;
 use super::super::source::Source;
 use super::setups::{BATCH, Plan, configured, weights_of};
@@ -161,7 +161,7 @@ fn bar(steps: usize, what: &str) -> ProgressBar {
 
 fn left_out(setup: &Setup, why: &Failure) {
     let why = why.message.as_deref().unwrap_or("no reason");
-    tell(format!("left out: {}: {why}", setup.name()));
+    remark(format!("left out: {}: {why}", setup.name()));
 }
 
 /// Each picture by each setup in turn, so that a machine that changes its speed does so for all. A setup
@@ -192,7 +192,7 @@ impl Runner {
         detect_one(&detector, few[0].labelled, &few[0].picture)?;
         let peak_bytes = match &few[0].labelled.source {
             Source::File(file) => peak::of(setup, file)
-                .inspect_err(|e| tell(format!("no peak memory of {}: {e}", setup.name())))
+                .inspect_err(|e| remark(format!("no peak memory of {}: {e}", setup.name())))
                 .ok()
                 .flatten(),
             _ => None,

@@ -20,7 +20,7 @@ pub(super) use setups::configured;
 use super::detector::{DetectorArgs, exact_fraction, known, number, open_gpu};
 use super::eval::read_labels;
 use super::exit::{Exit, Failure, as_typed};
-use super::message::tell;
+use super::message::remark;
 use super::output::line;
 
 /// Measure error against run time of the ways to run the networks here
@@ -125,13 +125,13 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let stop = stopped.clone();
     let handler = ctrlc::set_handler(move || stop.store(true, Ordering::Relaxed));
     if let Err(e) = handler {
-        tell(format!("Ctrl-C will lose what was measured: {e}"));
+        remark(format!("Ctrl-C will lose what was measured: {e}"));
     }
     let plan = setups::Plan::new(&weights, &args.sizes, gpu.as_ref(), pictures.len());
     let table = measure::measure(&plan, &pictures, &classes, &stopped)?;
 
     if table.stopped && table.rows.is_empty() {
-        tell("Stopped before the configurations had seen a picture: nothing was measured.");
+        remark("Stopped before the configurations had seen a picture: nothing was measured.");
         return Ok(Exit::Interrupted);
     }
     let json = serde_json::to_vec_pretty(&table)
@@ -143,7 +143,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     }
     report::markdown(&table).trim_end().lines().try_for_each(line)?;
     if table.stopped {
-        tell("Stopped: each configuration saw the same pictures, but not all of them.");
+        remark("Stopped: each configuration saw the same pictures, but not all of them.");
     }
     let limit = match (args.max_shift_mm, args.min_iou) {
         (Some(mm), _) => Limit::ShiftMm(mm),

@@ -1,0 +1,333 @@
+//! `smr-gpu detect`: finds the snaps in pictures and streams, prints and draws them.
+
+mod files;
+mod lists;
+mod record;
+mod table;
+mod video;
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use smr_gpu::evaluation::tradeoff::Limit;
+use smr_gpu::files::Outputs;
+use smr_gpu::verify::{self, Stages};
+use smr_gpu::{Config, Detections, GpuDetector};
+
+use super::detector::{self, Assumed, DetectorArgs, exact_fraction, fraction};
+use super::exit::{Exit, Failure, told};
+use super::message::{detail, remark, tell};
+use super::output::{count, json_line};
+use super::source::frame::{FrameId, RawFormat, Shot};
+use super::source::reader::{Event, Message, Reader, Stop, Wanted};
+use super::source::{Source, expand_all};
+use super::tensors;
+use files::{FileArgs, Files};
+use record::Record;
+use table::Table;
+
+/// Find the snaps in pictures
+///
+/// Prints a line a snap, or with --json an object a picture. A picture that cannot be read is named
+/// on stderr; the others still go through. Ctrl-C ends in order: what was found so far is kept. Pictures have at most 33 554 432 pixels and 320 MiB; with weights
+/// of at most 256 MiB that takes less than 1 GiB of memory, what a GPU's driver takes aside.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Pictures (PNG, JPEG, BMP, TIFF), folders of pictures, patterns such as 'in/*.png', or `-`
+    /// for pictures on stdin, one after the other. With ffmpeg also videos, cameras (/dev/video0) and network
+    /// streams (rtsp://…).
+    #[arg(required = true, value_name = "SOURCE")]
+    sources: Vec<PathBuf>,
+
+    /// Take the pictures of folders within folders too.
+    #[arg(long)]
+    recursive: bool,
+
+    /// Stdin brings bare pixels: frames of this size and format (rgb8, bgr8, rgba8, bgra8, gray8, gray16,
+    /// bayer-rggb8, bayer-bggr8, bayer-grbg8, bayer-gbrg8, yuyv, nv12), one after the other.
+    #[arg(long, value_name = "WxH:FORMAT")]
+    raw: Option<RawFormat>,
+
+    /// Look at each Nth frame.
+    #[arg(long, default_value_t = 1, value_name = "N", allow_negative_numbers = true)]
+    #[arg(value_parser = clap::value_parser!(u64).range(1..))]
+    every: u64,
+
+    /// Look at the latest frame: those that came meanwhile are dropped, and counted.
+    #[arg(long)]
+    latest: bool,
+
+    /// Print one JSON object a line for each picture.
+    #[arg(long)]
+    json: bool,
+
+    #[command(flatten)]
+    files: FileArgs,
+
+    /// Show detections with a score above this (0 to 1).
+    #[arg(long, default_value_t = 0.5, value_name = "SCORE", value_parser = fraction)]
+    #[arg(allow_negative_numbers = true)]
+    conf: f32,
+
+    /// Show at most so many detections a picture (1 to 100).
+    #[arg(long, default_value_t = 100, value_name = "N")]
+    #[arg(value_parser = clap::value_parser!(u8).range(1..=100))]
+    #[arg(allow_negative_numbers = true)]
+    max_det: u8,
+
+    /// Look for this class alone; may be given several times.
+    #[arg(long = "class", value_name = "NAME")]
+    classes: Vec<String>,
+
+    /// Write every stage's tensor, under the PyTorch model's names; for one picture. A tensor inside
+    /// a stage has the name of the layer that made it, after batch norm, residual and ReLU. Nothing is left
+    /// out then, as with --exact.
+    #[arg(long, value_name = "FILE.safetensors", conflicts_with = "leave_out")]
+    dump_stages: Option<PathBuf>,
+
+    /// Run as the table says that `smr-gpu tradeoff` wrote, on whole pictures: the fastest configuration within
+    /// --max-shift-mm, or with --min-iou. Refused where adapter, driver or weights are not the table's.
+    #[arg(long, value_name = "JSON", conflicts_with_all = ["weights", "size", "device", "precision", "leave_out"])]
+    tradeoff: Option<PathBuf>,
+
+    /// With --tradeoff: nineteen of twenty boxes are within so many millimetres of the base's.
+    #[arg(long, value_name = "MM", requires = "tradeoff", value_parser = super::tradeoff::millimetres)]
+    #[arg(default_value_t = super::tradeoff::SHIFT_MM, allow_negative_numbers = true)]
+    max_shift_mm: f64,
+
+    /// With --tradeoff: the mean overlap with the labels is at least this.
+    #[arg(long, value_name = "IOU", requires = "tradeoff", conflicts_with = "max_shift_mm")]
+    #[arg(value_parser = exact_fraction, allow_negative_numbers = true)]
+    min_iou: Option<f64>,
+
+    #[command(flatten)]
+    detector: DetectorArgs,
+}
+
+impl Args {
+    fn config(&self) -> Result<Config, Failure> {
+        let limit = self.min_iou.map_or(Limit::ShiftMm(self.max_shift_mm), Limit::Iou);
+        let mut config = match &self.tradeoff {
+            Some(table) => super::tradeoff::chosen(table, limit, &self.detector)?,
+            None => self.detector.config()?,
+        };
+        config.score = self.conf;
+        config.max_detections = self.max_det.into();
+        config.classes = self.classes.clone();
+        config.keep_stages = self.dump_stages.is_some();
+        Ok(config)
+    }
+
+    /// Refuses sources that the options do not fit.
+    fn check(&self, sources: &[Source]) -> Result<(), Failure> {
+        let is_one = matches!(sources, [Source::File(_) | Source::Stdin]) && self.raw.is_none();
+        if self.dump_stages.is_some() && !is_one {
+            let got = match sources {
+                [_] => "a stream".to_owned(),
+                _ => sources.len().to_string(),
+            };
+            return Err(Failure::usage(format!("--dump-stages: expected one picture, got {got}")));
+        }
+        match self.raw.is_some() && !sources.contains(&Source::Stdin) {
+            true => {
+                Err(Failure::usage("--raw: expected `-` for frames on stdin, got other sources"))
+            }
+            false => Ok(()),
+        }
+    }
+}
+
+pub(super) fn run(args: Args) -> Result<Exit, Failure> {
+    let (sources, exit) = expand_all(&args.sources, args.recursive)?;
+    if !sources.is_empty() || args.dump_stages.is_some() {
+        args.check(&sources)?;
+    }
+    if sources.is_empty() {
+        return Ok(exit);
+    }
+    let config = args.config()?;
+    let mut outputs = Outputs::sparing(sources.iter().filter_map(Source::file));
+    args.detector.network.spare(&mut outputs, &config);
+    args.tradeoff.iter().for_each(|table| outputs.spare(table));
+    let single = args.files.single().chain(args.dump_stages.as_deref());
+    outputs.check_all(single)?;
+    let detector = detector::open(config)?;
+    let classes = &detector.model().classes;
+    let mut run = Run {
+        table: Table::new(&sources, classes),
+        files: Files::create(&args.files, &mut outputs, classes)?,
+        outputs,
+        assumed: Assumed::default(),
+        sums: Sums::default(),
+        exit,
+        detector: &detector,
+        args: &args,
+    };
+    let begun = Instant::now();
+    let wanted = Wanted { every: args.every, latest: args.latest, raw: args.raw };
+    let mut reader = Reader::start(sources, wanted);
+    let stopped = stop_in_order(reader.stopper());
+    let failure = reader.by_ref().find_map(|event| run.take(event).err());
+    let dropped = reader.dropped();
+    drop(reader);
+    // However it ends, what was found so far is kept.
+    run.exit = run.exit.max(run.files.finish(&mut run.outputs));
+    if let Some(failure) = failure {
+        return Err(Failure { exit: failure.exit.max(run.exit), ..failure });
+    }
+    remark(run.sums.line(&detector, begun.elapsed(), args.latest.then_some(dropped)));
+    Ok(if stopped.load(Ordering::SeqCst) { Exit::Interrupted } else { run.exit })
+}
+
+/// Lets Ctrl-C, and what else asks for an end, end the reading; a second one ends the program at once.
+fn stop_in_order(reading: Stop) -> Arc<AtomicBool> {
+    let stopped = Arc::new(AtomicBool::new(false));
+    let stop = stopped.clone();
+    let handler = ctrlc::set_handler(move || {
+        if stop.swap(true, Ordering::SeqCst) {
+            std::process::exit(Exit::Interrupted as i32);
+        }
+        reading.stop();
+    });
+    if let Err(e) = handler {
+        tell(format!("Ctrl-C will lose files that are not finished: {e}"));
+    }
+    stopped
+}
+
+/// What a run has seen, and where its results go.
+struct Run<'a> {
+    detector: &'a GpuDetector,
+    args: &'a Args,
+    table: Table,
+    files: Files<'a>,
+    outputs: Outputs,
+    assumed: Assumed,
+    sums: Sums,
+    exit: Exit,
+}
+
+#[derive(Default)]
+struct Sums {
+    frames: usize,
+    snaps: usize,
+    read: Duration,
+    look: Duration,
+    write: Duration,
+}
+
+impl Sums {
+    /// What was found, and what each step took a picture, in a line.
+    fn line(&self, detector: &GpuDetector, wall: Duration, dropped: Option<u64>) -> String {
+        let ms = |sum: Duration| sum.as_secs_f64() * 1e3 / self.frames.max(1) as f64;
+        let mut line = format!(
+            "{} in {} on {}, {:.2} s",
+            count(self.snaps, "snap"),
+            count(self.frames, "picture"),
+            detector.adapter(),
+            wall.as_secs_f64(),
+        );
+        if self.frames > 0 {
+            let [read, look, write] = [self.read, self.look, self.write].map(ms);
+            line += &format!(
+                "; a picture: {read:.1} ms to read, {look:.1} to look, {write:.1} to write"
+            );
+        }
+        if let Some(dropped) = dropped {
+            line += &format!("; {} dropped", count(dropped as usize, "frame"));
+        }
+        line
+    }
+}
+
+impl Run<'_> {
+    /// # Errors
+    /// What ends the run.
+    fn take(&mut self, event: Event) -> Result<(), Failure> {
+        match event {
+            Event::Message(Message::Failed(message)) => {
+                tell(message);
+                self.exit = self.exit.max(Exit::Inputs);
+                Ok(())
+            }
+            Event::Message(Message::Remark(message)) => {
+                remark(message);
+                Ok(())
+            }
+            Event::Frame(shot) => self.look(&shot),
+        }
+    }
+
+    /// Looks at a frame, and gives what is found there to all who want it.
+    fn look(&mut self, shot: &Shot) -> Result<(), Failure> {
+        let (id, begun) = (&shot.id, Instant::now());
+        let (found, stages) = match detect_one(self.detector, shot, self.args) {
+            Ok(found) => found,
+            Err(failure) if failure.is_of_one_picture() => {
+                self.exit = self.exit.max(failure.told().exit);
+                return Ok(());
+            }
+            Err(failure) => return Err(failure.told()),
+        };
+        let looked = Instant::now();
+        self.assumed.remarks(id, &found).iter().for_each(remark);
+        if found.precision != self.detector.precision() {
+            remark(format!("{id}: past what f16 holds; looked at again in f32"));
+        }
+        let printed = match self.args.json {
+            true => json_line(&Record::new(id, &found, self.detector)),
+            false => self.table.frame(id, &found),
+        };
+        // A file that cannot be written takes none of the other results with it, nor does a closed stdout.
+        self.exit = self.exit.max(self.files.add(&mut self.outputs, shot, &found));
+        if let Some(file) = &self.args.dump_stages {
+            let dumped = dump(&mut self.outputs, file, self.detector, id, &stages);
+            self.exit = self.exit.max(told(dumped));
+        }
+        let [read, look, write] =
+            [shot.read, looked - begun, looked.elapsed()].map(|time| time.as_secs_f64() * 1e3);
+        detail(format!("{id}: {read:.1} ms to read, {look:.1} to look, {write:.1} to write"));
+        self.sums.frames += 1;
+        self.sums.snaps += found.detections.len();
+        self.sums.read += shot.read;
+        self.sums.look += looked - begun;
+        self.sums.write += looked.elapsed();
+        printed
+    }
+}
+
+/// Looks at one frame; the stages' tensors come along if they were asked for.
+fn detect_one(
+    detector: &GpuDetector,
+    shot: &Shot,
+    args: &Args,
+) -> Result<(Detections, Stages), Failure> {
+    let frame = shot.pixels.frame();
+    let result = match args.dump_stages {
+        Some(_) => verify::stages(detector, &frame),
+        None => detector.detect(&frame).map(|found| (found, Vec::new())),
+    };
+    result.map_err(|e| Failure::about(&shot.id, &e))
+}
+
+/// Writes the stages' tensors.
+fn dump(
+    outputs: &mut Outputs,
+    file: &Path,
+    detector: &GpuDetector,
+    id: &FrameId,
+    stages: &Stages,
+) -> Result<(), Failure> {
+    let config = serde_json::to_string(detector.model())
+        .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", file.display())))?;
+    let metadata = HashMap::from([
+        ("picture".to_owned(), id.source.to_string()),
+        ("adapter".to_owned(), detector.adapter()),
+        ("config".to_owned(), config),
+    ]);
+    let stages = stages.iter().map(|(name, value)| (name.as_str(), value));
+    tensors::write(outputs, file, stages, metadata)
+}

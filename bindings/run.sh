@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Builds a binding and runs its tests. Usage: bindings/run.sh python
+# Builds a binding and runs its tests. Usage: bindings/run.sh python|c
 # `python` needs Python 3.11 or newer ($PYTHON, or python3) and Rust; it makes bindings/python/.venv.
+# `c` needs Rust and a C compiler with sanitizers ($CC, or cc).
 # $SMR_GPU_TEST_DEVICE is the device of its tests: `cpu` by default, `gpu` for an adapter.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -23,10 +24,16 @@ python() {
     "$venv/bin/python" -m pytest "$folder"
 }
 
+c() {
+    # Tests link to what is built here.
+    (cd bindings/c && cargo build --locked && cargo test --locked)
+}
+
 case "${1:-}" in
 python) python ;;
+c) c ;;
 *)
-    echo "expected \`python\`, got ${1:-nothing}"
+    echo "expected \`python\` or \`c\`, got ${1:-nothing}"
     exit 2
     ;;
 esac

@@ -36,7 +36,8 @@ def test_there_are_three():
 def test_an_image(folder, capsys):
     out = run(0, capsys).splitlines()
     assert sorted(line.split()[0] for line in out) == ["A", "A", "B"]
-    assert Image.open("found.png").size == (1000, 1000)
+    with Image.open("found.png") as drawn:
+        assert drawn.size == (1000, 1000)
 
 
 def test_a_video(folder, capsys):

@@ -24,6 +24,7 @@ mod parts;
 mod preview;
 mod printable;
 mod probe;
+mod shell;
 mod simulate;
 mod source;
 mod stdout;
@@ -36,7 +37,7 @@ mod weights;
 use std::io::Write;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use smr_gpu::picture::is_decoding;
 
 use exit::{Exit, Failure};
@@ -75,6 +76,8 @@ enum Command {
     /// What looks for adapters in a process of its own.
     #[command(hide = true, name = probe::COMMAND)]
     LookForAdapters,
+    #[command(hide = true)]
+    Shell(shell::Args),
     Simulate(Box<simulate::Args>),
     Teach(Box<teach::Args>),
     Calibrate(calibrate::Args),
@@ -126,6 +129,7 @@ fn parse_and_run() -> Result<Exit, Failure> {
         Command::Tradeoff(args) => tradeoff::run(args),
         Command::TradeoffPeak(args) => tradeoff::run_peak(args),
         Command::LookForAdapters => probe::answer(),
+        Command::Shell(args) => shell::run(args, Cli::command()),
         Command::Simulate(args) => simulate::run(*args),
         Command::Teach(args) => teach::run(*args),
         Command::Calibrate(args) => calibrate::run(args),

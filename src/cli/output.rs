@@ -1,7 +1,7 @@
 //! Writing: data to stdout, messages to stderr, files to folders.
 
 use std::fmt::Display;
-use std::io::{ErrorKind, Write};
+use std::io::{ErrorKind, IsTerminal, Write};
 use std::path::Path;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -52,6 +52,20 @@ pub(super) fn to_stdout(write: impl FnOnce() -> std::io::Result<()>) -> Result<(
 pub(super) fn bar(steps: u64, template: &str) -> ProgressBar {
     let style = ProgressStyle::with_template(template);
     ProgressBar::new(steps).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+}
+
+/// Counts what goes by, of so many if that is known; nothing where stderr is no terminal, nor where stdout is one,
+/// as what is printed there shows how far it is.
+pub(super) fn counter(steps: Option<u64>, things: &str) -> ProgressBar {
+    if std::io::stdout().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    match steps {
+        Some(steps) => {
+            bar(steps, &format!("{{pos}}/{{len}} {things} {{wide_bar}} {{per_sec}}, {{eta}} left"))
+        }
+        None => bar(0, &format!("{{spinner}} {{pos}} {things}, {{per_sec}}")),
+    }
 }
 
 /// A number of things, in words.

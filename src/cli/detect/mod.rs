@@ -12,6 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use indicatif::ProgressBar;
 use smr_gpu::evaluation::tradeoff::Limit;
 use smr_gpu::files::Outputs;
 use smr_gpu::verify::{self, Stages};
@@ -20,7 +21,7 @@ use smr_gpu::{Config, Detections, GpuDetector};
 use super::detector::{self, Assumed, DetectorArgs, exact_fraction, fraction};
 use super::exit::{Exit, Failure, told};
 use super::message::{detail, remark, tell};
-use super::output::{count, json_line};
+use super::output::{count, counter, json_line};
 use super::source::frame::{FrameId, RawFormat, Shot};
 use super::source::reader::{Event, Message, Reader, Stop, Wanted};
 use super::source::{Source, expand_all};
@@ -162,6 +163,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         outputs,
         assumed: Assumed::default(),
         sums: Sums::default(),
+        progress: counter(known_length(&sources), "pictures"),
         exit,
         detector: &detector,
         args: &args,
@@ -173,6 +175,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     let failure = reader.by_ref().find_map(|event| run.take(event).err());
     let dropped = reader.dropped();
     drop(reader);
+    run.progress.finish_and_clear();
     // However it ends, what was found so far is kept.
     run.exit = run.exit.max(run.files.finish(&mut run.outputs));
     if let Some(failure) = failure {
@@ -180,6 +183,12 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     }
     remark(run.sums.line(&detector, begun.elapsed(), args.latest.then_some(dropped)));
     Ok(if stopped.load(Ordering::SeqCst) { Exit::Interrupted } else { run.exit })
+}
+
+/// How many frames there are, where each source is one.
+fn known_length(sources: &[Source]) -> Option<u64> {
+    let all_files = sources.iter().all(|source| matches!(source, Source::File(_)));
+    all_files.then_some(sources.len() as u64)
 }
 
 /// Lets Ctrl-C, and what else asks for an end, end the reading; a second one ends the program at once.
@@ -207,6 +216,7 @@ struct Run<'a> {
     outputs: Outputs,
     assumed: Assumed,
     sums: Sums,
+    progress: ProgressBar,
     exit: Exit,
 }
 
@@ -249,12 +259,12 @@ impl Run<'_> {
     fn take(&mut self, event: Event) -> Result<(), Failure> {
         match event {
             Event::Message(Message::Failed(message)) => {
-                tell(message);
+                self.progress.suspend(|| tell(message));
                 self.exit = self.exit.max(Exit::Inputs);
                 Ok(())
             }
             Event::Message(Message::Remark(message)) => {
-                remark(message);
+                self.progress.suspend(|| remark(message));
                 Ok(())
             }
             Event::Frame(shot) => self.look(&shot),
@@ -273,7 +283,8 @@ impl Run<'_> {
             Err(failure) => return Err(failure.told()),
         };
         let looked = Instant::now();
-        self.assumed.remarks(id, &found).iter().for_each(remark);
+        let remarks = self.assumed.remarks(id, &found);
+        remarks.iter().for_each(|text| self.progress.suspend(|| remark(text)));
         if found.precision != self.detector.precision() {
             remark(format!("{id}: past what f16 holds; looked at again in f32"));
         }
@@ -290,6 +301,7 @@ impl Run<'_> {
         let [read, look, write] =
             [shot.read, looked - begun, looked.elapsed()].map(|time| time.as_secs_f64() * 1e3);
         detail(format!("{id}: {read:.1} ms to read, {look:.1} to look, {write:.1} to write"));
+        self.progress.inc(1);
         self.sums.frames += 1;
         self.sums.snaps += found.detections.len();
         self.sums.read += shot.read;

@@ -25,6 +25,31 @@ fn run_without_adapter(folder: &Path, arguments: &[&str]) -> Ran {
     command.args(arguments).output().expect("the program runs").into()
 }
 
+/// What a package installs: every command that help lists has a page, and completions know a command's options.
+#[test]
+fn completions_and_man_pages_cover_the_commands() {
+    let folder = folder();
+    for shell in ["bash", "zsh", "fish", "powershell"] {
+        let ran = run(folder.path(), &["shell", "--completions", shell]).expect(0);
+        assert!(ran.stdout.contains("mm-per-pixel"), "{shell}");
+    }
+    run(folder.path(), &["shell", "--man", "man"]).expect(0);
+    let pages = fs::read_dir(folder.path().join("man")).expect("a folder");
+    let pages: BTreeSet<String> =
+        pages.map(|page| page.expect("a page").file_name().display().to_string()).collect();
+    let help = run(folder.path(), &["--help"]).expect(0).stdout;
+    let listed = help.split_once("Commands:").and_then(|(_, rest)| rest.split_once("Options:"));
+    let lines = listed.expect("commands").0.lines().filter(|line| line.starts_with("  "));
+    let commands = lines.filter_map(|line| line.split_whitespace().next());
+    let expected: BTreeSet<String> = commands
+        .filter(|command| *command != "help")
+        .map(|command| format!("smr-gpu-{command}.1"))
+        .chain(["smr-gpu.1".to_owned(), "smr-gpu-weights-add.1".to_owned()])
+        .collect();
+    assert_eq!(pages, expected);
+    run(folder.path(), &["shell"]).expect(2).tells("--completions");
+}
+
 #[test]
 fn wrong_command_lines_are_usage_errors() {
     let folder = folder();

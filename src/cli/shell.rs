@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use clap::Command;
 use clap_complete::Shell;
-use smr_gpu::files;
 
 use super::exit::{Exit, Failure};
 use super::output::to_stdout;
@@ -23,7 +22,6 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: Args, mut program: Command) -> Result<Exit, Failure> {
-    program.build();
     if let Some(shell) = args.completions {
         let mut text = Vec::new();
         clap_complete::generate(shell, &mut program, "smr-gpu", &mut text);
@@ -33,14 +31,7 @@ pub(super) fn run(args: Args, mut program: Command) -> Result<Exit, Failure> {
         let made =
             |e: std::io::Error| Failure::new(Exit::Output, format!("{}: {e}", folder.display()));
         std::fs::create_dir_all(&folder).map_err(made)?;
-        let commands = program.get_subcommands().filter(|command| !command.is_hide_set());
-        for command in std::iter::once(&program).chain(commands) {
-            let name = command.get_display_name().unwrap_or(command.get_name()).to_owned();
-            let mut page = Vec::new();
-            let man = clap_mangen::Man::new(command.clone().name(name.clone()));
-            man.render(&mut page).map_err(made)?;
-            files::write(&folder.join(format!("{name}.1")), &page)?;
-        }
+        clap_mangen::generate_to(program, &folder).map_err(made)?;
     }
     Ok(Exit::Done)
 }

@@ -757,7 +757,7 @@ fn evaluation_of_several_sets_is_one_table() {
     };
     assert_eq!((cell("set", 2), cell("set", 4)), ("pictures", "IoU, %"));
     assert_eq!((cell("one", 2), cell("one", 3), cell("one", 4)), ("1", "1", "0.00 (0.0–0.0)"));
-    assert_eq!((cell("none", 3), cell("none", 4), cell("none", 11)), ("0", "-", "0 in 0 of 1"));
+    assert_eq!((cell("none", 3), cell("none", 4), cell("none", 12)), ("0", "-", "0 in 0 of 1"));
     assert_eq!((cell("all", 2), cell("all", 3)), ("2", "1"));
     assert_eq!(cell("markers' pitch, mm: without", 2), "1");
     assert_eq!(cell("markers' pitch, mm: 2 to 3", 3), "1");

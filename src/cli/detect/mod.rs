@@ -181,7 +181,13 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     if let Some(failure) = failure {
         return Err(Failure { exit: failure.exit.max(run.exit), ..failure });
     }
-    remark(run.sums.line(&detector, begun.elapsed(), args.latest.then_some(dropped)));
+    let line = run.sums.line(&detector, begun.elapsed(), args.latest.then_some(dropped));
+    // What reads objects counts them itself, but not the frames that were dropped.
+    if args.json && !args.latest {
+        detail(line)
+    } else {
+        remark(line)
+    }
     Ok(if stopped.load(Ordering::SeqCst) { Exit::Interrupted } else { run.exit })
 }
 

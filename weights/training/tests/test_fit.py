@@ -265,7 +265,7 @@ class Fit(unittest.TestCase):
         out = self.root / "full"
         said = call("fit", "--out", out, "--data", self.data, "--network", "small", *TINY, status=6, room=4_000_000)
         self.assertIn("checkpoint.pt: cannot be written", said)
-        self.assertEqual(sorted(file.name for file in out.iterdir()), ["cache", "history.jsonl", "run.json"])
+        self.assertEqual(sorted(file.name for file in out.iterdir()), ["cache", "history.jsonl", "lock", "run.json"])
         call("fit", "--out", out, "--resume")
         self.assertTrue((out / "weights.safetensors").exists())
         said = call("fit", "--out", self.root / "file" / "run", "--data", self.data, *TINY, status=6)

@@ -46,7 +46,7 @@ def search(picture: np.ndarray, mode: str) -> np.ndarray:
     method.setBaseImage(np.ascontiguousarray(picture[:, :, ::-1]))
     method.switchToSelectiveSearchFast() if mode == "fast" else method.switchToSelectiveSearchQuality()
     ctypes.CDLL(None).srand(1)
-    found = method.process().astype(np.float32).reshape(-1, 4)
+    found = np.asarray(method.process(), np.float32).reshape(-1, 4)
     found = found[found[:, 2:].min(axis=1, initial=np.inf) >= NARROWEST]
     boxes = np.concatenate([found[:, :2], found[:, :2] + found[:, 2:]], axis=1)
     return boxes if len(boxes) else np.array([[0, 0, picture.shape[1], picture.shape[0]]], np.float32)

@@ -450,13 +450,12 @@ fn bad_pictures_are_named_and_good_ones_go_through() {
     let ran = run(folder.path(), &arguments).expect(1);
 
     let told = ran.told();
-    // One more line, once a size, for the good ones, whose scale is assumed, one for the first without a snap, and
-    // the last.
+    // One more line, once a size, for the good ones, whose scale is assumed, and one for the first without a snap.
     let records = ran.json();
     let size = |r: &Value| ["width", "height"].map(|side| r[side].as_u64().expect("a side"));
     let sizes: BTreeSet<_> = records.iter().map(size).collect();
     assert!(sizes.len() > 1, "{sizes:?}");
-    assert_eq!(told.len(), bad.len() + 5 + sizes.len(), "{told:#?}");
+    assert_eq!(told.len(), bad.len() + 4 + sizes.len(), "{told:#?}");
     let assumed = told.iter().filter(|line| line.contains(": assumed "));
     assert_eq!(assumed.count(), sizes.len(), "{told:#?}");
     for (file, phrase) in bad.iter().chain(&[

@@ -87,7 +87,7 @@ fn every_file_has_what_was_printed() {
     }
     ramp(64, 64).save(path("in/none.png")).expect("saved");
     let arguments =
-        "in --recursive --json --csv t.csv --coco c.json --yolo yolo --crops crops --save drawn";
+        "in --recursive --json -v --csv t.csv --coco c.json --yolo yolo --crops crops --save drawn";
     let ran = ran(detect(folder.path(), &arguments.split(' ').collect::<Vec<_>>())).expect(0);
     let records = ran.json();
     let names: Vec<_> = frames(&ran);

@@ -9,8 +9,8 @@
 //! | [`forced`], [`conditions`] | conditions | what differs from sensor to sensor, forced or drawn |
 //! | [`clutter`], [`turned`], [`fasteners`], [`snaps`], [`distractors`] | parts | height fields of what presses on the gel |
 //! | [`smooth`] | mechanics | smoothed reliefs |
-//! | [`camera`], [`optics`], [`lamps`], [`tone`] | camera, light | parallax, distortion, defocus, noise; brightness of a slope, measured or modelled; of depth and rims |
-//! | [`surface`] | mechanics | the gel's surface under a body |
+//! | [`camera`], [`optics`], [`lamps`] | camera, light | parallax, distortion, defocus, noise; brightness of a slope, measured or modelled |
+//! | [`surface`], [`tone`] | mechanics, light | the gel's surface under a body; what its depth and its rims do to the brightness |
 //! | [`scene`], [`layout`], `company` | layout | draws a plain or a wide scene and makes one rigid body of it; parts side by side |
 //! | [`coating`], [`markers`] | coating | the coating, its wear and its dust; its print |
 //! | [`label`] | labels | boxes round the imprints, seen through the same camera |

@@ -518,7 +518,7 @@ fn looked_at(found: &Detections) -> f64 {
 #[test]
 fn real_presses_are_looked_at_where_the_ball_is() {
     let folder = file("tests/data/gelsight_ball_presses");
-    let read = |name: &str| picture::read(&folder.join(name)).expect("a picture");
+    let read = |name: &str| picture::read(folder.join(name)).expect("a picture");
     let background = read("background.png").into_rgb8();
     let (width, height) = background.dimensions();
     let background = Arc::new(Frame::new(background.into_raw(), width, height, PixelFormat::Rgb8));

@@ -61,7 +61,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Detect(detect::Args),
+    Detect(Box<detect::Args>),
     Devices(devices::Args),
     Eval(eval::Args),
     Op(op::Args),
@@ -118,7 +118,7 @@ fn parse_and_run() -> Result<Exit, Failure> {
         (false, false) => Level::Usual,
     });
     match cli.command {
-        Command::Detect(args) => detect::run(args),
+        Command::Detect(args) => detect::run(*args),
         Command::Devices(args) => devices::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Op(args) => op::run(args),

@@ -285,7 +285,7 @@ mod tests {
             let stream = magic.chain(std::io::repeat(0));
             Pictures::new(stream).map(|item| item.expect_err("no end").to_string()).collect()
         };
-        assert_eq!(ends(b"\xff\xd8\xff\xe0"), [limit.clone()]);
+        assert_eq!(ends(b"\xff\xd8\xff\xe0"), std::slice::from_ref(&limit));
         assert_eq!(ends(b"BM\xff\xff\xff\xff"), [limit]);
         let [told] = &ends(b"")[..] else { panic!("one error") };
         assert!(told.ends_with(" bytes of something else"), "{told}");

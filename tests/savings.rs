@@ -519,9 +519,7 @@ fn looked_at(found: &Detections) -> f64 {
 fn real_presses_are_looked_at_where_the_ball_is() {
     let folder = file("tests/data/gelsight_ball_presses");
     let read = |name: &str| picture::read(folder.join(name)).expect("a picture");
-    let background = read("background.png").into_rgb8();
-    let (width, height) = background.dimensions();
-    let background = Arc::new(Frame::new(background.into_raw(), width, height, PixelFormat::Rgb8));
+    let background = Arc::new(Frame::from(&read("background.png")).into_owned());
     let table = std::fs::read_to_string(folder.join("presses.csv")).expect("a table");
     let numbers = |line: &str| line.split(',').filter_map(|cell| cell.parse().ok()).collect();
     let circles: Vec<Vec<f64>> = table.lines().skip(1).map(numbers).collect();

@@ -161,9 +161,8 @@ pub(super) fn cells(view: &View) -> [usize; 2] {
 
 /// Whether the mean of `frames` frames' cells differs from those `before` by more than the mean's noise.
 pub(super) fn has_changed(mean: &Tensor, before: &Tensor, frames: u32) -> bool {
-    let ContactMap { least, most, clipped, reach, factor, .. } = CHANGED;
-    let [least, most] = [least, most].map(|share| share / (frames as f32).sqrt());
-    let rule = ContactRule { least, most, clipped, reach, factor };
+    let [least, most] = [CHANGED.least, CHANGED.most].map(|share| share / (frames as f32).sqrt());
+    let rule = ContactRule { least, most, ..CHANGED.rule() };
     contact_map(mean, Some(before), rule).iter().any(|word| *word != 0)
 }
 

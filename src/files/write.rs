@@ -336,9 +336,18 @@ mod tests {
         };
         torn();
         assert_eq!(contents(folder.path()), []);
+        let nowhere = folder.path().join("gone").join("x");
+        let error = Unfinished::create(&nowhere).expect_err("no folder");
+        assert!(error.to_string().starts_with(&format!("{}: cannot write", nowhere.display())));
 
         write(&path, b"whole").expect("written");
         torn();
+        let panics = std::panic::AssertUnwindSafe(|| {
+            let mut file = Unfinished::create(&path).expect("begun");
+            file.write(b"a part").expect("a part");
+            panic!("in the middle")
+        });
+        std::panic::catch_unwind(panics).expect_err("a panic");
         assert_eq!(contents(folder.path()), [("x".to_owned(), b"whole".to_vec())]);
         write(&path, b"new").expect("replaced");
         assert_eq!(contents(folder.path()), [("x".to_owned(), b"new".to_vec())]);

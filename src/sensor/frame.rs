@@ -88,6 +88,11 @@ impl<'a> Frame<'a> {
         self
     }
 
+    /// The same with bytes of its own.
+    pub fn into_owned(self) -> Frame<'static> {
+        Frame { data: Cow::Owned(self.data.into_owned()), ..self }
+    }
+
     /// Checks that the frame is what it says.
     ///
     /// # Errors

@@ -124,7 +124,7 @@ impl PixelFormat {
     }
 
     /// Columns and rows that belong together: a frame has a multiple of each.
-    pub(crate) fn block(self) -> [u32; 2] {
+    pub fn block(self) -> [u32; 2] {
         match self {
             Self::Yuyv => [2, 1],
             Self::Nv12 => [2, 2],

@@ -10,6 +10,7 @@ use rand::seq::IndexedRandom;
 use rand_pcg::Pcg64;
 
 use super::distractors::{Distractor, Part};
+use super::footprint::Footprint;
 use super::forced::Forced;
 use super::scene::{Mix, Own, Placed, Scene, sample_tilt, sample_yaw};
 use super::snaps::{Hook, Kind, Snap};
@@ -53,47 +54,14 @@ const PARTS: [Part; 20] = [
 /// A part of the gel: least x and y, greatest x and y in millimetres from the gel's middle.
 pub type Region = [f64; 4];
 
-/// A turned rectangle.
-#[derive(Debug, Clone, Copy)]
-struct Footprint {
-    center: [f64; 2],
-    half: [f64; 2],
-    yaw: f64,
-}
-
-impl Footprint {
-    /// A lower bound of the distance to another, by the axes of both; negative where they overlap.
-    fn gap(&self, other: &Self) -> f64 {
-        let axes = [
-            self.yaw,
-            self.yaw + std::f64::consts::FRAC_PI_2,
-            other.yaw,
-            other.yaw + std::f64::consts::FRAC_PI_2,
-        ];
-        let offset = DVec2::from(other.center) - DVec2::from(self.center);
-        axes.into_iter()
-            .map(|angle| {
-                let along = offset.dot(DVec2::from_angle(angle)).abs();
-                along - self.extent(angle) - other.extent(angle)
-            })
-            .fold(f64::NEG_INFINITY, f64::max)
-    }
-
-    /// Half the width in this direction.
-    fn extent(&self, angle: f64) -> f64 {
-        let (sin, cos) = (angle - self.yaw).sin_cos();
-        self.half[0] * cos.abs() + self.half[1] * sin.abs()
-    }
-}
-
 /// The footprint of a part. A plate's is as far as a picture reaches.
 fn footprint(placed: &Placed<Distractor>) -> Footprint {
     let yaw = placed.yaw;
     match placed.part.half_size() {
-        Some(half) => Footprint { center: placed.center_mm, half, yaw },
+        Some(half) => Footprint::of(placed.center_mm, half, yaw),
         None => {
-            let center = (placed.pose().origin_mm - 40.0 * placed.pose().x).into();
-            Footprint { center, half: [40.0, 80.0], yaw }
+            let center = placed.pose().origin_mm - 40.0 * placed.pose().x;
+            Footprint::of(center, [40.0, 80.0], yaw)
         }
     }
 }
@@ -184,7 +152,7 @@ impl Layout<'_> {
 
     /// A place for a footprint of this half size at this yaw, as a whole in the picture if it fits.
     fn place(&mut self, half: [f64; 2], yaw: f64, cut: bool) -> [f64; 2] {
-        let shape = Footprint { center: [0.0; 2], half, yaw };
+        let shape = Footprint::of([0.0; 2], half, yaw);
         let extent = [shape.extent(0.0), shape.extent(std::f64::consts::FRAC_PI_2)];
         let [x0, y0, x1, y1] = self.visible;
         let sides = [[x0, x1], [y0, y1]];
@@ -236,7 +204,7 @@ impl Layout<'_> {
             let center_mm = self.place(half, yaw, cut);
             let placed = Placed { part: part.clone(), center_mm, yaw, tilt, depth_mm };
             let wall = self.wall_of(&placed);
-            if self.claim(Footprint { center: center_mm, half, yaw }, &wall) {
+            if self.claim(Footprint::of(center_mm, half, yaw), &wall) {
                 self.scene.snaps.push(placed);
                 self.scene.distractors.extend(wall);
                 return;
@@ -401,11 +369,11 @@ impl Layout<'_> {
                 [half[0] + other[0] + gap, self.rng.random_range(-0.8..0.8) * half[1]]
             };
             let center = snap.pose().gel([u, v]).into();
-            let beside = Footprint { center, half: other, yaw: snap.yaw };
+            let beside = Footprint::of(center, other, snap.yaw);
             let free = self
                 .taken
                 .iter()
-                .filter(|taken| taken.center != snap.center_mm)
+                .filter(|taken| taken.center != DVec2::from(snap.center_mm))
                 .all(|taken| taken.gap(&beside) > CLEARANCE_MM);
             if free {
                 self.taken.push(beside);

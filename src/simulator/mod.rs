@@ -11,7 +11,7 @@
 //! | [`smooth`] | mechanics | smoothed reliefs |
 //! | [`camera`], [`optics`], [`lamps`] | camera, light | parallax, distortion, defocus, noise; brightness of a slope, measured or modelled |
 //! | [`surface`], [`tone`] | mechanics, light | the gel's surface under a body; what its depth and its rims do to the brightness |
-//! | [`scene`], [`layout`], `company` | layout | draws a plain or a wide scene and makes one rigid body of it; parts side by side |
+//! | [`scene`], `footprint`, [`layout`], `company` | layout | draws a plain or a wide scene and makes one rigid body of it; parts side by side |
 //! | [`coating`], [`markers`] | coating | the coating, its wear and its dust; its print |
 //! | [`label`] | labels | boxes round the imprints, seen through the same camera |
 //! | [`calibrate`] | truth | fits the optics to real presses and measures the distance to them |
@@ -80,6 +80,7 @@ pub mod tone;
 pub mod turned;
 
 mod error;
+mod footprint;
 
 pub use error::Error;
 

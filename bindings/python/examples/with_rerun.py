@@ -12,8 +12,7 @@ import rerun as rr
 from PIL import Image
 
 import smr_gpu
-
-COLOURS = [(230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (204, 121, 167)]
+from smr_gpu.drawing import COLOURS
 
 
 def log(picture: np.ndarray, found: smr_gpu.Detections) -> None:

@@ -129,7 +129,7 @@ impl Iterator for Frames {
             let given = self.frames.bind(py).clone().next()?;
             let frame = given.and_then(|given| Picture::new(py, given.extract()?, &self.said));
             match frame {
-                Ok(frame) => Some(frame.into_frame()),
+                Ok(frame) => Some(frame.frame().into_owned()),
                 Err(e) => {
                     *lock(&self.failed) = Some(e);
                     None

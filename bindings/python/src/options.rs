@@ -67,7 +67,7 @@ impl Options<'_> {
         let nothing = Said::default();
         let reference =
             self.reference.map(|given| Picture::new(py, given, &nothing)).transpose()?;
-        let reference = reference.map(|picture| Arc::new(picture.into_frame()));
+        let reference = reference.map(|picture| Arc::new(picture.frame().into_owned()));
         let fail = |e: Error| raised(py, e);
         Ok(Config {
             device: self.device.parse().map_err(fail)?,

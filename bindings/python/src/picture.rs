@@ -10,7 +10,7 @@ use smr_gpu::{Error, Frame, Gel, PixelFormat, Rect, Result, Scale, picture};
 
 use crate::errors::raised;
 
-/// A picture as the Python part hands it over: a file, or an array of uint8 with its pixels' format.
+/// A picture as the Python part hands it over: a file, or an array of uint8 with the name of its pixels' format.
 #[derive(FromPyObject)]
 pub enum Given<'py> {
     File(PathBuf),
@@ -80,7 +80,7 @@ impl Picture {
                 Pixels::File(read.map_err(|e| raised(py, about(e)))?)
             }
             Given::Array((array, format)) => {
-                let format = pixel_format(&format).map_err(|e| raised(py, e))?;
+                let format = format.parse().map_err(|e| raised(py, e))?;
                 of_array(&array, format)?
             }
         };
@@ -90,34 +90,14 @@ impl Picture {
 
     /// The picture as the library takes it.
     pub fn frame(&self) -> Frame<'_> {
-        let frame = match &self.pixels {
+        let mut frame = match &self.pixels {
             Pixels::File(picture) => Frame::from(picture),
             Pixels::Array { bytes, size: [width, height], stride, format } => {
                 Frame::new(bytes.as_slice(), *width, *height, *format).stride(*stride)
             }
         };
-        frame.with(self.gel, self.scale, self.crop)
-    }
-
-    /// [`frame`](Self::frame) with bytes of its own: who gave them may write there the next frame.
-    pub fn into_frame(self) -> Frame<'static> {
-        let frame = self.frame();
-        let (width, height, format, stride) =
-            (frame.width, frame.height, frame.format, frame.stride);
-        let own = Frame::new(frame.data.into_owned(), width, height, format).stride(stride);
-        own.with(self.gel, self.scale, self.crop)
-    }
-}
-
-/// What is said of a frame, set on it.
-trait With {
-    fn with(self, gel: Option<Gel>, scale: Option<Scale>, crop: Option<Rect>) -> Self;
-}
-
-impl With for Frame<'_> {
-    fn with(mut self, gel: Option<Gel>, scale: Option<Scale>, crop: Option<Rect>) -> Self {
-        (self.gel, self.scale, self.crop) = (gel, scale, crop);
-        self
+        (frame.gel, frame.scale, frame.crop) = (self.gel, self.scale, self.crop);
+        frame
     }
 }
 
@@ -166,21 +146,4 @@ fn of_array(array: &Bound<'_, PyAny>, format: PixelFormat) -> PyResult<Pixels> {
     }
     let bytes = Bytes::Copied(buffer.to_vec(py)?);
     Ok(Pixels::Array { bytes, size, stride: row, format })
-}
-
-/// The format that the Python part calls so.
-fn pixel_format(name: &str) -> Result<PixelFormat> {
-    Ok(match name {
-        "GRAY" => PixelFormat::Gray8,
-        "RGB" => PixelFormat::Rgb8,
-        "BGR" => PixelFormat::Bgr8,
-        "RGBA" => PixelFormat::Rgba8,
-        "BGRA" => PixelFormat::Bgra8,
-        "YUYV" => PixelFormat::Yuyv,
-        "BAYER_RGGB" => PixelFormat::BayerRggb8,
-        "BAYER_BGGR" => PixelFormat::BayerBggr8,
-        "BAYER_GRBG" => PixelFormat::BayerGrbg8,
-        "BAYER_GBRG" => PixelFormat::BayerGbrg8,
-        _ => return Err(Error::param("detect", "order", "a known order", format!("`{name}`"))),
-    })
 }

@@ -109,11 +109,7 @@ impl FromStr for RawFormat {
         if !(1..=MAX_PIXELS as u64).contains(&pixels) {
             return Err(format!("expected 1 to {MAX_PIXELS} pixels, got {width} × {height}"));
         }
-        let block = match format {
-            PixelFormat::Yuyv => [2, 1],
-            PixelFormat::Nv12 => [2, 2],
-            _ => [1, 1],
-        };
+        let block = format.block();
         match width.is_multiple_of(block[0]) && height.is_multiple_of(block[1]) {
             true => Ok(Self { width, height, format }),
             false => {

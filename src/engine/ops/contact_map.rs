@@ -53,6 +53,12 @@ impl ContactMap {
     pub fn tiles(cells: [usize; 2]) -> [usize; 2] {
         cells.map(|side| side.div_ceil(ContactRule::TILE))
     }
+
+    /// What counts as contact.
+    pub fn rule(&self) -> ContactRule {
+        let Self { least, most, clipped, reach, factor, .. } = *self;
+        ContactRule { least, most, clipped, reach, factor }
+    }
 }
 
 impl Op for ContactMap {
@@ -93,10 +99,8 @@ impl Op for ContactMap {
     }
 
     fn compute(&self, inputs: &[&Value], specs: &[TensorSpec]) -> Result<Vec<Value>> {
-        let Self { least, most, clipped, reach, factor, .. } = *self;
-        let rule = ContactRule { least, most, clipped, reach, factor };
         let reference = inputs.get(1).map(|r| r.f32()).transpose()?;
-        let words = reference::contact_map(inputs[0].f32()?, reference, rule);
+        let words = reference::contact_map(inputs[0].f32()?, reference, self.rule());
         Ok(vec![Tensor::new(specs[0].shape.clone(), words)?.into()])
     }
 

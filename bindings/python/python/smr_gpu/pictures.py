@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 
 from smr_gpu import errors
 
-# The format by the order that is asked for and the number of channels.
+# The library's format by the order that is asked for and the number of channels.
 _FORMATS = {
-    **{(order, 1): "GRAY" for order in ("RGB", "BGR", "RGBA", "BGRA", "GRAY")},
-    ("RGB", 3): "RGB",
-    ("RGB", 4): "RGBA",
-    ("RGBA", 4): "RGBA",
-    ("BGR", 3): "BGR",
-    ("BGR", 4): "BGRA",
-    ("BGRA", 4): "BGRA",
-    ("YUYV", 2): "YUYV",
-    **{(order, 1): order for order in ("BAYER_RGGB", "BAYER_BGGR", "BAYER_GRBG", "BAYER_GBRG")},
+    **{(order, 1): "gray8" for order in ("RGB", "BGR", "RGBA", "BGRA", "GRAY")},
+    ("RGB", 3): "rgb8",
+    ("RGB", 4): "rgba8",
+    ("RGBA", 4): "rgba8",
+    ("BGR", 3): "bgr8",
+    ("BGR", 4): "bgra8",
+    ("BGRA", 4): "bgra8",
+    ("YUYV", 2): "yuyv",
+    **{(f"BAYER_{pattern}", 1): f"bayer-{pattern.lower()}8" for pattern in ("RGGB", "BGGR", "GRBG", "GBRG")},
 }
 
 
@@ -32,7 +32,7 @@ def given(picture: Any, order: str) -> str | tuple[NDArray[np.uint8], str]:
     if isinstance(picture, (str, os.PathLike)):
         return os.fsdecode(picture)
     if _is_pillow(picture):
-        picture, order = _of_pillow(picture)
+        picture, order = _readable(picture), "RGB"
     array = np.asarray(picture)
     if array.dtype.kind != "u" or array.dtype.itemsize > 2:
         raise errors.param("picture", "an array of uint8 or uint16", array.dtype)
@@ -62,11 +62,10 @@ def _is_pillow(picture: Any) -> bool:
     return pillow is not None and isinstance(picture, pillow.Image)
 
 
-def _of_pillow(picture: Any) -> tuple[Any, str]:
-    """The picture in a mode that the library reads, and its order."""
-    if picture.mode in ("L", "RGB", "RGBA") or picture.mode.startswith("I;16"):
-        return picture, "RGB"
-    return picture.convert("RGB"), "RGB"
+def _readable(picture: Any) -> Any:
+    """A picture of Pillow in a mode that the library reads."""
+    is_read = picture.mode in ("L", "RGB", "RGBA") or picture.mode.startswith("I;16")
+    return picture if is_read else picture.convert("RGB")
 
 
 def _shape(array: NDArray[Any]) -> str:

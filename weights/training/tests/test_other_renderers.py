@@ -9,7 +9,9 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from other_renderers import BESIDE, LOOKS, PRESSED, SNAPS, Relief, draw, hook, own, stud
+from scipy.ndimage import distance_transform_edt
+
+from other_renderers import BESIDE, BUILT_IN, BUILT_IN_OF, GAP_MM, LOOKS, PRESSED, SNAPS, Relief, draw, hook, lit, own, pair, stud
 
 
 def bracket(root: Path) -> Relief:
@@ -68,6 +70,7 @@ def test_a_hook_points_to_its_barb() -> None:
 def test_look_alikes_have_no_label() -> None:
     for look in LOOKS:
         assert draw(look, "none", np.random.default_rng(3))[1] == []
+        assert draw(look, "round", np.random.default_rng(3), BUILT_IN_OF["round"])[1] == []
 
 
 def test_a_wall_is_in_no_box() -> None:
@@ -98,6 +101,42 @@ def test_dots_lie_on_the_gel() -> None:
         assert 0.01 < dark.mean() < 0.16, seed
         quarters = [dark[:200, :200], dark[:200, 200:], dark[200:, :200], dark[200:, 200:]]
         assert min(q.mean() for q in quarters) > 0.6 * max(q.mean() for q in quarters), seed
+
+
+def test_pairs_lie_close_and_whole() -> None:
+    """The nearest pixels of two contacts are a gap apart, to the pixels that it was sought in; neither reaches the edge."""
+    seen = set()
+    for seed in range(12):
+        mm, width, height = LOOKS["lamps-near"]
+        half = np.array([width, height]) * mm / 2
+        x, y = np.meshgrid((np.arange(width) + 0.5) * mm - half[0], (np.arange(height) + 0.5) * mm - half[1])
+        first, second = pair(np.random.default_rng(seed), "pairs", BUILT_IN, x, y, half, mm)
+        gap = distance_transform_edt(~first.contact())[second.contact()].min() * mm
+        assert GAP_MM[0] - 2 * mm <= gap <= GAP_MM[1] + 2 * mm, (seed, gap)
+        picture, labels = draw("lamps-near", "pairs", np.random.default_rng(seed))
+        assert len(labels) == 2
+        for left, top, box_width, box_height in (label["bbox"] for label in labels):
+            assert left > 0 and top > 0 and left + box_width < width and top + box_height < height
+        seen.add(tuple(sorted(label["category_id"] for label in labels)))
+    assert seen == {(1, 1), (1, 2), (2, 2)}
+
+
+def test_small_snaps_are_small() -> None:
+    """A hook of at most 5 x 2.6 mm lies in a box of at most 5.7 mm however it is turned, a stud in one of 5 mm."""
+    mm = LOOKS["lamps"][0]
+    longest = {1: 0.0, 2: 0.0}
+    for seed in range(40):
+        for label in draw("lamps", "small", np.random.default_rng(seed), BUILT_IN_OF["small"])[1]:
+            longest[label["category_id"]] = max(longest[label["category_id"]], *(mm * v for v in label["bbox"][2:]))
+    assert 4 < longest[1] <= 5.7 + mm and 4 < longest[2] <= 5 + mm, longest
+
+
+def test_a_coat_darkens_with_depth_alone() -> None:
+    """Where the gel is deeper it is darker, whatever its slope, and grey."""
+    depth = np.abs(np.random.default_rng(1).normal(0, 0.5, (20, 20)))
+    picture = lit("coat", depth, 0.05, np.random.default_rng(2))
+    assert (np.diff(picture[..., 0].ravel()[np.argsort(depth.ravel())]) <= 0).all()
+    assert (picture == picture[..., :1]).all()
 
 
 def test_a_seed_is_a_picture() -> None:
@@ -180,5 +219,8 @@ if __name__ == "__main__":
     test_look_alikes_have_no_label()
     test_a_wall_is_in_no_box()
     test_dots_lie_on_the_gel()
+    test_pairs_lie_close_and_whole()
+    test_small_snaps_are_small()
+    test_a_coat_darkens_with_depth_alone()
     test_a_seed_is_a_picture()
     print("ok")

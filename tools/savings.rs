@@ -12,8 +12,9 @@
 //! labels, where a miss counts 0, the centre error and the shift of the centres against the whole network's,
 //! both medians, the shift's 95th percentile too; then shares of the pictures without contact, of those of
 //! which parts were looked at, of those whose deepest scale was left out, and of those that were looked at
-//! again. A second table has the time of each way by what pictures show: each folder, those with one snap or
-//! several, and those with one snap of which parts, or one part, were looked at; a third the stages of the
+//! again. A second table has how much higher the boxes of those pictures score that were looked at in parts,
+//! the mean over the boxes above 0.05 that the whole network has too, by whether they are right. A third has the time of each way by what pictures show: each folder, those with one snap or
+//! several, and those with one snap of which parts, or one part, were looked at; a fourth the stages of the
 //! last. Then the snaps that each way loses.
 
 use std::collections::BTreeMap;
@@ -21,9 +22,9 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use clap::Parser;
-use smr_gpu::evaluation::Seen;
 use smr_gpu::evaluation::coco::{self, Picture};
-use smr_gpu::evaluation::metrics::{center, quantile};
+use smr_gpu::evaluation::metrics::{box_iou, center, quantile};
+use smr_gpu::evaluation::{Found, LEAST_SCORE, RIGHT_IOU, Seen, Snap};
 use smr_gpu::{Config, Detections, Device, Frame, GpuDetector, Savings, picture};
 
 /// Scores above this count.
@@ -75,6 +76,13 @@ struct Way {
     detector: GpuDetector,
     looks: Vec<Look>,
     snaps: Vec<Best>,
+    raised: Vec<Raised>,
+}
+
+/// How much higher a box scores that was seen in a part than the whole network's box there.
+struct Raised {
+    right: bool,
+    by: f64,
 }
 
 /// What a way found of a snap.
@@ -131,10 +139,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let way = |name: &str, weights: &Path, savings: Savings| -> Result<Way, Box<dyn Error>> {
         let (most_proposals, doubt) = (args.most_proposals, args.doubt);
         let savings = Savings { most_proposals, doubt, ..savings };
-        let config =
-            Config { device: args.device.clone(), savings, score: SCORE, ..Config::new(weights) };
+        let config = Config { device: args.device.clone(), savings, ..Config::new(weights) };
+        let config = Config { score: LEAST_SCORE as f32, counts_above: Some(SCORE), ..config };
         let detector = GpuDetector::new(config)?;
-        Ok(Way { name: name.to_owned(), detector, looks: Vec::new(), snaps: Vec::new() })
+        let (looks, snaps, raised) = (Vec::new(), Vec::new(), Vec::new());
+        Ok(Way { name: name.to_owned(), detector, looks, snaps, raised })
     };
     let own = &args.weights;
     let mut ways = vec![
@@ -191,6 +200,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     }
     print(&ways, &truths, base);
+    print_raised(&ways);
     print_groups(&ways, &groups, base);
     print_stages(&ways, &groups[3]);
     print_lost(&ways, &truths);
@@ -207,6 +217,7 @@ fn look(
 ) -> Result<(), Box<dyn Error>> {
     let decoded = picture::read(labelled.find_in(folder))?;
     let frame = labelled.state(Frame::from(&decoded));
+    let mut whole = Vec::new();
     for (number, way) in ways.iter_mut().enumerate() {
         let mut found = way.detector.detect(&frame)?;
         if !once {
@@ -220,7 +231,26 @@ fn look(
         for (iou, right) in seen.best(SCORE.into()) {
             way.snaps.push(Best { iou, off_mm: right.map(|right| right.off_mm) });
         }
+        if way.looks.last().is_some_and(|look| look.parts.is_some()) {
+            way.raised.extend(whole.iter().filter_map(|own: &Found| {
+                let overlaps = |other: &&Found| {
+                    other.class == own.class
+                        && box_iou(own.scored.bbox, other.scored.bbox) >= RIGHT_IOU
+                };
+                let score = |found: &Found| found.scored.score;
+                let there = seen
+                    .found
+                    .iter()
+                    .filter(overlaps)
+                    .max_by(|a, b| score(a).total_cmp(&score(b)))?;
+                let right = |snap: &Snap| {
+                    snap.class == own.class && snap.truth.overlap(own.scored.bbox) >= RIGHT_IOU
+                };
+                Some(Raised { right: seen.snaps.iter().any(right), by: score(there) - score(own) })
+            }));
+        }
         if number == 0 {
+            whole.clone_from(&seen.found);
             let snaps = seen.snaps.iter().filter(|snap| !snap.truth.crowd);
             truths.extend(snaps.map(|snap| Truth {
                 picture: folder.join(&labelled.file).display().to_string(),
@@ -274,6 +304,19 @@ fn print(ways: &[Way], truths: &[Truth], base: usize) {
             median(shifts.iter().copied()),
             quantile(&shifts, 0.95).unwrap_or(f64::NAN),
         );
+    }
+}
+
+/// What looking at parts does to scores.
+fn print_raised(ways: &[Way]) {
+    println!("\n| | right boxes | score | other boxes | score |\n|---|{}", "--:|".repeat(4));
+    for way in ways.iter().filter(|way| !way.raised.is_empty()) {
+        let mean = |right: bool| {
+            let by: Vec<f64> =
+                way.raised.iter().filter(|r| r.right == right).map(|r| r.by).collect();
+            format!("{} | {:+.3}", by.len(), by.iter().sum::<f64>() / by.len() as f64)
+        };
+        println!("| {} | {} | {} |", way.name, mean(true), mean(false));
     }
 }
 

@@ -16,7 +16,7 @@ from .parts import JITTER, SNAPS, Part
 from .truth import Truth
 
 # Side of a step's views: one of these, down to the smallest part of a picture that the program looks at, or whole pictures in the rest of the steps.
-WINDOWS = (96, 128, 160, 192, 224, 256)
+WINDOWS = (64, 96, 128, 160, 192, 224, 256)
 WHOLE_SHARE = 0.25
 # Sides of whole pictures' windows, height and width or the other way round; each shape is one that a card must learn to compute.
 WHOLE = ((320, 320), (384, 384), (256, 256), (256, 320), (192, 256), (320, 416), (160, 192))

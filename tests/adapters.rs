@@ -47,7 +47,7 @@ fn kernels(network: &Network, op: &str, caps: &Caps) -> BTreeSet<&'static str> {
     found
 }
 
-/// By what wgpu 30 tells of them: see docs/kernels.md.
+/// By what wgpu 30 tells of them: see docs/internals/kernels.md.
 #[test]
 fn every_family_has_its_kernels() {
     let weights = Weights::open(&file(LARGE)).expect("the weights");

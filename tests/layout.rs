@@ -274,12 +274,12 @@ fn shaders_validate_and_keep_to_the_default_limits() {
 fn faults_of_the_host_can_be_planted() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let read = |file: &str| std::fs::read_to_string(root.join(file));
-    let table = read("docs/mutants.md").expect("docs/mutants.md");
+    let table = read("docs/internals/mutants.md").expect("docs/internals/mutants.md");
     let (_, table) = table.split_once("## Planted faults in host code").expect("a section of them");
     let (table, _) = table.split_once("\n## ").unwrap_or((table, ""));
     let rows: Vec<&str> = table.lines().filter(|line| line.starts_with("| ")).skip(1).collect();
     let wanted: Vec<String> = host_faults::FAULTS.iter().map(|fault| fault.row()).collect();
-    assert_eq!(rows, wanted, "docs/mutants.md (left) against tests/support/host_faults.rs");
+    assert_eq!(rows, wanted, "docs/internals/mutants.md (left) against tests/support/host_faults.rs");
     assert!(wanted.len() >= 60, "{} faults", wanted.len());
     for fault in host_faults::FAULTS {
         let source = read(&fault.path()).unwrap_or_else(|e| panic!("{}: {e}", fault.path()));

@@ -775,19 +775,19 @@ fn each_fault_in_f16_is_noticed_by_its_case() {
 /// The table for people has them all.
 #[test]
 fn each_fault_is_in_the_table() {
-    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/mutants.md");
-    let table = std::fs::read_to_string(path).expect("docs/mutants.md");
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/internals/mutants.md");
+    let table = std::fs::read_to_string(path).expect("docs/internals/mutants.md");
     let faults = FAULTS.iter().map(|fault| (fault, ""));
     for (fault, precision) in faults.chain(HALF_FAULTS.iter().map(|fault| (fault, ", in f16"))) {
         let Fault { what, file, op, case, by_hand, .. } = fault;
         let by_hand = if *by_hand { "yes |" } else { "|" };
         let row = format!("| {what} | {file} | {op}: {case}{precision} | {by_hand}");
-        assert!(table.lines().any(|line| line == row), "expected in docs/mutants.md:\n{row}");
+        assert!(table.lines().any(|line| line == row), "expected in docs/internals/mutants.md:\n{row}");
     }
 }
 
 /// A mutant of each shader file; `cargo run --release --example mutants` runs more of them, and
-/// docs/mutants.md lists what became of them.
+/// docs/internals/mutants.md lists what became of them.
 #[test]
 fn a_mutant_of_each_shader_is_noticed() {
     let mut missed = Vec::new();

@@ -1,5 +1,5 @@
 //! What the kernels' sizes alone allow on GPUs: the least that the network could take there, of which
-//! docs/kernels.md has the table.
+//! docs/internals/kernels.md has the table.
 //!
 //! ```sh
 //! cargo run --release --example predicted -- weights/smrnet.safetensors

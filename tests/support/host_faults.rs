@@ -45,7 +45,7 @@ impl Fault {
         }
     }
 
-    /// Its row in docs/mutants.md.
+    /// Its row in docs/internals/mutants.md.
     pub fn row(&self) -> String {
         format!("| {} | {} | {} |", self.what, self.file, self.test)
     }

@@ -212,7 +212,7 @@ impl Pipelines {
                 zero_initialize_workgroup_memory: false,
                 ..Default::default()
             },
-            // Drivers that keep compiled shaders do so without one: docs/rejected.md.
+            // Drivers that keep compiled shaders do so without one: docs/internals/rejected.md.
             cache: None,
         });
         let bindings = entry.bindings.clone();

@@ -121,7 +121,7 @@ pub mod internals {
     pub use crate::{detector, engine, files, sensor, smr, verify};
 }
 
-/// The README's example runs as a test.
+/// The guide's examples run as tests.
 #[cfg(all(doctest, feature = "picture"))]
-#[doc = include_str!("../README.md")]
-struct Readme;
+#[doc = include_str!("../docs/guide/rust.md")]
+struct Guide;

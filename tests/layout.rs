@@ -279,7 +279,10 @@ fn faults_of_the_host_can_be_planted() {
     let (table, _) = table.split_once("\n## ").unwrap_or((table, ""));
     let rows: Vec<&str> = table.lines().filter(|line| line.starts_with("| ")).skip(1).collect();
     let wanted: Vec<String> = host_faults::FAULTS.iter().map(|fault| fault.row()).collect();
-    assert_eq!(rows, wanted, "docs/internals/mutants.md (left) against tests/support/host_faults.rs");
+    assert_eq!(
+        rows, wanted,
+        "docs/internals/mutants.md (left) against tests/support/host_faults.rs"
+    );
     assert!(wanted.len() >= 60, "{} faults", wanted.len());
     for fault in host_faults::FAULTS {
         let source = read(&fault.path()).unwrap_or_else(|e| panic!("{}: {e}", fault.path()));

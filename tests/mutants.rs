@@ -782,7 +782,10 @@ fn each_fault_is_in_the_table() {
         let Fault { what, file, op, case, by_hand, .. } = fault;
         let by_hand = if *by_hand { "yes |" } else { "|" };
         let row = format!("| {what} | {file} | {op}: {case}{precision} | {by_hand}");
-        assert!(table.lines().any(|line| line == row), "expected in docs/internals/mutants.md:\n{row}");
+        assert!(
+            table.lines().any(|line| line == row),
+            "expected in docs/internals/mutants.md:\n{row}"
+        );
     }
 }
 

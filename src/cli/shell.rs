@@ -1,14 +1,15 @@
-//! `smr-gpu shell`: what a package installs beside the program: completions for shells, and man pages.
+//! `smr-gpu shell`: what stands beside the program: completions for shells, man pages, the reference.
 
 use std::path::PathBuf;
 
 use clap::Command;
 use clap_complete::Shell;
+use clap_markdown::MarkdownOptions;
 
 use super::exit::{Exit, Failure};
 use super::output::to_stdout;
 
-/// Write completions for a shell, or man pages
+/// Write completions for a shell, man pages, or the reference of all options
 #[derive(Debug, clap::Args)]
 #[group(required = true, multiple = false)]
 pub(super) struct Args {
@@ -19,6 +20,10 @@ pub(super) struct Args {
     /// Write a man page for the program, and one for each command, into this folder.
     #[arg(long, value_name = "DIR")]
     man: Option<PathBuf>,
+
+    /// Print all commands and options as Markdown: docs/reference/cli.md.
+    #[arg(long)]
+    markdown: bool,
 }
 
 pub(super) fn run(args: Args, mut program: Command) -> Result<Exit, Failure> {
@@ -26,6 +31,12 @@ pub(super) fn run(args: Args, mut program: Command) -> Result<Exit, Failure> {
         let mut text = Vec::new();
         clap_complete::generate(shell, &mut program, "smr-gpu", &mut text);
         to_stdout(|| std::io::Write::write_all(&mut std::io::stdout(), &text))?;
+    }
+    if args.markdown {
+        let options =
+            MarkdownOptions::new().title("Commands and options".into()).show_footer(false);
+        let text = clap_markdown::help_markdown_command_custom(&program, &options);
+        to_stdout(|| std::io::Write::write_all(&mut std::io::stdout(), text.as_bytes()))?;
     }
     if let Some(folder) = args.man {
         let made =

@@ -129,7 +129,30 @@ fn wrong_command_lines_are_usage_errors() {
         assert!(is_op || !ran.stderr.contains("parameter `"), "{}", ran.stderr);
     }
     run(folder.path(), &["--help"]).expect(0);
-    run(folder.path(), &["--version"]).expect(0);
+}
+
+#[test]
+fn the_version_names_commit_and_features() {
+    let folder = folder();
+    let version = concat!("smr-gpu ", env!("CARGO_PKG_VERSION"));
+    assert_eq!(run(folder.path(), &["-V"]).expect(0).stdout, format!("{version}\n"));
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut git = Command::new("git");
+    git.args(["rev-parse", "--short=12", "HEAD"]).current_dir(root);
+    // A tarball's sources have no commit.
+    let commit = root.join(".git").exists().then(|| {
+        let output = git.output().expect("git runs");
+        let commit = String::from_utf8(output.stdout).expect("UTF-8");
+        assert!(commit.trim().len() >= 12, "{commit}");
+        format!(" (commit {})", commit.trim())
+    });
+    let said = run(folder.path(), &["--version"]).expect(0).stdout;
+    let (first, features) = said.split_once("\nfeatures: ").expect("features");
+    assert_eq!(first, format!("{version}{}", commit.unwrap_or_default()));
+    let features: Vec<&str> = features.trim_end().split(", ").collect();
+    assert!(features.contains(&"cli") && features.contains(&"simulator"), "{features:?}");
+    let has_weights = cfg!(feature = "embedded-weights");
+    assert_eq!(features.contains(&"embedded-weights"), has_weights, "{features:?}");
 }
 
 /// A copy of the weights after `change`, which sees every tensor's bytes by name.

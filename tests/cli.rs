@@ -129,7 +129,19 @@ fn wrong_command_lines_are_usage_errors() {
         assert!(is_op || !ran.stderr.contains("parameter `"), "{}", ran.stderr);
     }
     run(folder.path(), &["--help"]).expect(0);
-    run(folder.path(), &["--version"]).expect(0);
+}
+
+#[test]
+fn the_version_names_commit_and_features() {
+    let folder = folder();
+    let version = concat!("smr-gpu ", env!("CARGO_PKG_VERSION"));
+    assert_eq!(run(folder.path(), &["-V"]).expect(0).stdout, format!("{version}\n"));
+    let commit = option_env!("SMR_GPU_COMMIT").map(|commit| format!(" (commit {commit})"));
+    let features = if cfg!(feature = "embedded-weights") { "embedded-weights" } else { "none" };
+    assert_eq!(
+        run(folder.path(), &["--version"]).expect(0).stdout,
+        format!("{version}{}\nfeatures: {features}\n", commit.unwrap_or_default())
+    );
 }
 
 /// A copy of the weights after `change`, which sees every tensor's bytes by name.

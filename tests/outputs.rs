@@ -311,6 +311,7 @@ fn one_run_at_a_time_writes_a_data_set() {
         count: 1,
         seed: 1,
         request: Request::plain(Mix::None),
+        shard: None,
     };
     let second = Mutex::new(None);
     simulate(&settings, &|_| {

@@ -16,6 +16,7 @@ mod exit;
 mod ffmpeg;
 mod folders;
 mod gallery;
+mod merge;
 mod message;
 mod names;
 mod op;
@@ -32,6 +33,7 @@ mod teach;
 mod tensors;
 mod tradeoff;
 mod tune;
+mod version;
 mod weights;
 
 use std::io::Write;
@@ -45,7 +47,7 @@ use message::Level;
 
 /// Finds snap joints in pictures of a GelSight-like tactile sensor, on any GPU.
 #[derive(Debug, Parser)]
-#[command(version, after_help = exit::HELP)]
+#[command(version, long_version = version::long(), after_help = exit::HELP)]
 struct Cli {
     /// Tell what goes wrong, and nothing else.
     #[arg(short, long, global = true, conflicts_with = "verbose")]
@@ -63,6 +65,7 @@ struct Cli {
 enum Command {
     Detect(Box<detect::Args>),
     Devices(devices::Args),
+    Merge(merge::Args),
     Eval(eval::Args),
     Op(op::Args),
     Check(check::Args),
@@ -120,6 +123,7 @@ fn parse_and_run() -> Result<Exit, Failure> {
     match cli.command {
         Command::Detect(args) => detect::run(*args),
         Command::Devices(args) => devices::run(args),
+        Command::Merge(args) => merge::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Op(args) => op::run(args),
         Command::Check(args) => check::run(args),

@@ -5,10 +5,10 @@ use std::sync::{Arc, Once};
 
 use clap::ValueEnum;
 use smr_gpu::Sensor;
-use smr_gpu::files::Outputs;
+use smr_gpu::files::{Outputs, Shard};
 use smr_gpu::simulator::Error;
 use smr_gpu::simulator::conditions::Distribution;
-use smr_gpu::simulator::dataset::{self, Progress, Settings, Step};
+use smr_gpu::simulator::dataset::{self, Progress, Settings, Step, Summary};
 use smr_gpu::simulator::distractors::Part;
 use smr_gpu::simulator::forced::Forced;
 use smr_gpu::simulator::given::Given;
@@ -57,6 +57,12 @@ pub(super) struct Args {
         "out", "count", "kind", "conditions", "press", "sensor", "look_alike", "force",
     ])]
     preview: Option<PathBuf>,
+
+    /// Draw each nth picture alone, from the ith on, and no annotations.json: n runs draw a data set together, into
+    /// one folder or several that are put together. The same without --shard then draws what is missing and
+    /// writes annotations.json.
+    #[arg(long, value_name = "I/N", conflicts_with = "preview")]
+    shard: Option<Shard>,
 
     /// Which snaps the pictures show.
     #[arg(long, value_enum, default_value_t = Mix::Mixed)]
@@ -183,7 +189,8 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         let count = args.count.unwrap_or(PAPER_COUNT) as usize;
         for (name, mix, seed) in PAPER {
             let request = Request { mix, ..Request::default() };
-            draw(&Settings { out: out.join(name), count, seed, request })?;
+            let out = out.join(name);
+            draw(&Settings { out, count, seed, request, shard: args.shard })?;
         }
         return Ok(Exit::Done);
     }
@@ -198,7 +205,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         (None, Some(out), Some(count), Some(seed)) => (out, count, seed),
         _ => return Err(Failure::usage("expected --out, --count and --seed, or --preview")),
     };
-    let Args { kind, conditions, press, sensor, look_alike, mut force, .. } = args;
+    let Args { kind, conditions, press, sensor, look_alike, mut force, shard, .. } = args;
     let plain = conditions == Conditions::Plain;
     let narrowed = look_alike.is_some();
     let look_alike = match look_alike {
@@ -237,13 +244,13 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     }
     let request =
         Request { mix: kind, conditions, part: look_alike, forced: force, sensor, press, own };
-    draw(&Settings { out, count: count as usize, seed, request })?;
+    draw(&Settings { out, count: count as usize, seed, request, shard })?;
     Ok(Exit::Done)
 }
 
 /// Draws a data set and tells what came of it.
 fn draw(settings: &Settings) -> Result<(), Failure> {
-    let bar = output::bar(settings.count as u64, "{msg} {bar:40} {pos}/{len} pictures, {eta} left");
+    let bar = output::bar(0, "{msg} {bar:40} {pos}/{len} pictures, {eta} left");
     let rendering = Once::new();
     let result = dataset::simulate(settings, &|Progress { step, done, all }| {
         match step {
@@ -262,13 +269,13 @@ fn draw(settings: &Settings) -> Result<(), Failure> {
     });
     bar.finish_and_clear();
     let summary = result.map_err(failure)?;
-    remark(format!(
-        "{}: {} ({} new), {}",
-        settings.out.join("annotations.json").display(),
-        output::count(settings.count, "picture"),
-        summary.rendered,
-        output::count(summary.snaps, "snap")
-    ));
+    let Summary { rendered, kept, snaps } = summary;
+    let pictures = format!("{} ({rendered} new)", output::count(rendered + kept, "picture"));
+    let file = settings.out.join("annotations.json");
+    remark(match snaps {
+        Some(snaps) => format!("{}: {pictures}, {}", file.display(), output::count(snaps, "snap")),
+        None => format!("{}: {pictures}", settings.out.display()),
+    });
     Ok(())
 }
 

@@ -20,7 +20,8 @@ use super::output::{json_line, line};
 ///
 /// Each line is a name that --weights takes, with the weights that it finds. They are looked for in
 /// $SMR_GPU_WEIGHTS, if that is a folder, in the user's data folder, in `weights` beside the program and up to two
-/// folders above it, and in `weights` in the current folder; `small` is also in the program.
+/// folders above it, in `share/smr-gpu/weights` beside the program's folder, and in `weights` in the current folder;
+/// `small` is also in the program.
 #[derive(Debug, clap::Args)]
 #[command(args_conflicts_with_subcommands = true)]
 pub(super) struct Args {

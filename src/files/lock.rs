@@ -1,4 +1,4 @@
-//! Locks on folders: a file that one process at a time holds, with its number inside.
+//! Locks on folders: a file that one process at a time holds, with its number inside, or several that share it.
 
 use std::fs::{File, TryLockError};
 use std::io::{ErrorKind, Read, Write};
@@ -15,8 +15,17 @@ const LONGEST: u64 = 16;
 pub enum Lock {
     /// It is held until the file is dropped.
     Held(File),
-    /// Another holds it: the process, if that can be told.
+    /// Another holds it: the process, if that can be told, which it cannot of several.
     Busy(Option<u32>),
+}
+
+/// With whom a lock is held.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sharing {
+    /// With nobody.
+    Alone,
+    /// With others that share it.
+    WithOthers,
 }
 
 /// Takes the lock at `path` for this process.
@@ -26,7 +35,7 @@ pub enum Lock {
 ///
 /// # Errors
 /// [`Error::NotReplaceable`] for what is no lock, and [`Error::Io`].
-pub fn lock(path: &Path) -> Result<Lock, Error> {
+pub fn lock(path: &Path, sharing: Sharing) -> Result<Lock, Error> {
     let failed = |source| Error::Io { path: path.to_owned(), source };
     loop {
         check(path)?;
@@ -36,14 +45,21 @@ pub fn lock(path: &Path) -> Result<Lock, Error> {
             Err(e) => return Err(failed(e)),
         };
         if let Some(file) = &earlier {
-            let taken = file.try_lock();
+            let taken = match sharing {
+                Sharing::Alone => file.try_lock(),
+                Sharing::WithOthers => file.try_lock_shared(),
+            };
             // Windows lets nobody read what another has locked.
             let mut text = String::new();
             let read = file.take(LONGEST).read_to_string(&mut text);
             let number = read.ok().and_then(|_| text.trim().parse().ok());
             match taken {
                 Ok(()) => {}
-                Err(TryLockError::WouldBlock) => return Ok(Lock::Busy(number)),
+                Err(TryLockError::WouldBlock) => {
+                    // Those that share it did not write it.
+                    let is_shared = file.try_lock_shared().is_ok();
+                    return Ok(Lock::Busy(number.filter(|_| !is_shared)));
+                }
                 Err(TryLockError::Error(e)) => return Err(failed(e)),
             }
             // Another run may have given the name to its own since.
@@ -56,10 +72,19 @@ pub fn lock(path: &Path) -> Result<Lock, Error> {
                 return Err(Error::NotReplaceable { path: path.to_owned(), found });
             }
         }
+        let earlier = match (earlier, sharing) {
+            // Others hold it by the name that it has.
+            (Some(earlier), Sharing::WithOthers) => return Ok(Lock::Held(earlier)),
+            (earlier, _) => earlier,
+        };
         // Locked before it has its name: nobody can come between.
         let mut own = unfinished(write::folder_of(path)).map_err(failed)?;
         writeln!(own, "{}", std::process::id()).map_err(failed)?;
-        own.as_file().lock().map_err(failed)?;
+        match sharing {
+            Sharing::Alone => own.as_file().lock(),
+            Sharing::WithOthers => own.as_file().lock_shared(),
+        }
+        .map_err(failed)?;
         let named = match &earlier {
             // Windows renames over no file that is open.
             Some(_) if cfg!(windows) => {
@@ -84,8 +109,8 @@ mod tests {
 
     use super::*;
 
-    fn held(path: &Path) -> File {
-        match lock(path).expect("a lock") {
+    fn held(path: &Path, sharing: Sharing) -> File {
+        match lock(path, sharing).expect("a lock") {
             Lock::Held(file) => file,
             busy @ Lock::Busy(_) => panic!("{busy:?}"),
         }
@@ -100,12 +125,33 @@ mod tests {
             if let Some(left) = left {
                 fs::write(&path, left).expect("written");
             }
-            let file = held(&path);
+            let file = held(&path, Sharing::Alone);
             assert_eq!(fs::read_to_string(&path).expect("a lock"), format!("{this}\n"));
-            assert!(matches!(lock(&path), Ok(Lock::Busy(Some(id))) if id == this));
+            for sharing in [Sharing::Alone, Sharing::WithOthers] {
+                let busy = lock(&path, sharing);
+                assert!(matches!(busy, Ok(Lock::Busy(Some(id))) if id == this), "{busy:?}");
+            }
             drop(file);
         }
         assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 1);
+    }
+
+    #[test]
+    fn several_share_a_lock_until_the_last_has_gone() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("lock");
+        for left in [false, true] {
+            if left {
+                fs::write(&path, "4194304\n").expect("written");
+            }
+            let shared = [(); 2].map(|()| held(&path, Sharing::WithOthers));
+            for file in shared {
+                // Who they are is not told: the number is an earlier run's.
+                assert!(matches!(lock(&path, Sharing::Alone), Ok(Lock::Busy(None))));
+                drop(file);
+            }
+            drop(held(&path, Sharing::Alone));
+        }
     }
 
     /// Whatever names it has.
@@ -116,7 +162,7 @@ mod tests {
         for text in ["notes", "12 months", "-1", "123456789012345678901"] {
             fs::write(&notes, text).expect("written");
             fs::hard_link(&notes, &path).expect("linked");
-            let message = lock(&path).expect_err(text).to_string();
+            let message = lock(&path, Sharing::Alone).expect_err(text).to_string();
             assert!(message.ends_with("got a file that is no lock of an earlier run"), "{message}");
             assert_eq!(fs::read_to_string(&notes).expect("kept"), text);
             assert_eq!(fs::read_to_string(&path).expect("kept"), text);
@@ -125,7 +171,7 @@ mod tests {
         // What looks like one is given up for its name alone.
         fs::write(&notes, "42").expect("written");
         fs::hard_link(&notes, &path).expect("linked");
-        drop(held(&path));
+        drop(held(&path, Sharing::Alone));
         assert_eq!(fs::read_to_string(&notes).expect("kept"), "42");
     }
 }

@@ -3,18 +3,23 @@
 //! Everything that is read from a path or written to one goes through here. What only looks like a
 //! file (a folder, a pipe, a device, a socket) is named and refused, not opened: a pipe would wait
 //! for its other end, a device may never end. Pipes that are open already do serve for pictures.
+//! Several runs share a list of files by [`Shard`]s.
 
 #[cfg(feature = "simulator")]
 mod lock;
 mod read;
 #[cfg(feature = "simulator")]
+mod shard;
+#[cfg(feature = "simulator")]
 mod write;
 
 #[cfg(feature = "simulator")]
-pub use lock::{Lock, lock};
+pub use lock::{Lock, Sharing, lock};
 #[cfg(feature = "picture")]
 pub use read::open_or_pipe;
 pub use read::{open, read, read_open, text};
+#[cfg(feature = "simulator")]
+pub use shard::{NoShard, Shard};
 #[cfg(feature = "simulator")]
 pub use write::{Error, Outputs, Unfinished, check, remove_unfinished, write};
 

@@ -3,8 +3,8 @@
 //! A folder holds `origin.json` with what it was made from, `images/000000.png` and so on,
 //! `labels/000000.json` with what was drawn and how large the picture's file is, and
 //! `annotations.json` once all is there. A label is written after its picture: where both are
-//! there and the size is right, the picture is whole. One run at a time writes to a folder: it
-//! holds a lock on `.simulate.lock`.
+//! there and the size is right, the picture is whole. One run at a time writes to a folder, or several
+//! shards: they hold a lock on `.simulate.lock`.
 //!
 //! Each scene's seed is a hash of the data set's seed and the picture's number, so data sets of
 //! different seeds share no scene: splits are kept apart by giving each its own seed. A picture
@@ -37,7 +37,7 @@ use super::render::{Rendered, Renderer, Request};
 use super::scene::{Mix, Negative, NegativeShape, scene_seed};
 use super::snaps::Kind;
 use super::{Error, on_threads};
-use crate::files;
+use crate::files::{self, Shard, Sharing};
 use crate::sensor::Sensor;
 use crate::sensor::rect::Rect;
 
@@ -47,6 +47,8 @@ const CHUNK: usize = 8;
 const LOCK: &str = ".simulate.lock";
 const ORIGIN: &str = "origin.json";
 const ANNOTATIONS: &str = "annotations.json";
+const IMAGES: &str = "images";
+const LABELS: &str = "labels";
 /// Longest file that an earlier run left to be read, in bytes: a label has some thousands.
 const MAX_JSON: u64 = 1 << 24;
 
@@ -61,6 +63,8 @@ pub struct Settings {
     pub seed: u64,
     /// What the pictures show, and under which conditions.
     pub request: Request,
+    /// The pictures that this call takes, without `annotations.json`; `None` for all.
+    pub shard: Option<Shard>,
 }
 
 /// What [`simulate`] did.
@@ -70,8 +74,8 @@ pub struct Summary {
     pub rendered: usize,
     /// Pictures that were there already.
     pub kept: usize,
-    /// Labelled snaps in the whole data set.
-    pub snaps: usize,
+    /// Labelled snaps in the whole data set; `None` of a shard.
+    pub snaps: Option<usize>,
 }
 
 /// How far [`simulate`] is.
@@ -194,6 +198,9 @@ struct AnyLabel {
 
 /// Renders what is missing of a data set, then writes `annotations.json`.
 ///
+/// Shards of one data set may write to a folder together, or to folders whose files are put together later; a
+/// call without one then renders what is missing and writes `annotations.json`.
+///
 /// Pictures are spread over rayon's current pool, or over one of its own. `progress` is called from any thread, not
 /// always in order. A call with fewer pictures than are there labels the first ones. Nothing is
 /// written before all that is there has been checked.
@@ -216,7 +223,7 @@ fn simulate_here(
     // Before the folder is made or locked: what is not ours stays as it is.
     check_origin(settings)?;
     fs::create_dir_all(&settings.out).map_err(Error::io(&settings.out))?;
-    let _lock = lock(&settings.out)?;
+    let _lock = lock(settings)?;
     // Another run may have begun it since.
     let is_begun = check_origin(settings)?;
     let whole = whole_pictures(settings, progress)?;
@@ -228,13 +235,16 @@ fn simulate_here(
     for folder in [&images, &labels] {
         fs::create_dir_all(folder).map_err(Error::io(folder))?;
     }
-    for folder in [&settings.out, &images, &labels] {
+    // A shard leaves what others have begun.
+    for folder in [&settings.out, &images, &labels].into_iter().filter(|_| settings.shard.is_none())
+    {
         files::remove_unfinished(folder)?;
     }
-    let (kept, all) = (whole.len(), settings.count);
+    let (kept, all) = (whole.len(), settings.own_count());
     let done = AtomicUsize::new(kept);
     progress(Progress { step: Step::Render, done: kept, all });
-    let missing = (0..all).into_par_iter().with_min_len(CHUNK).filter(|i| !whole.contains(i));
+    let missing = |i: &usize| settings.takes(*i) && !whole.contains(i);
+    let missing = (0..settings.count).into_par_iter().with_min_len(CHUNK).filter(missing);
     missing.try_for_each_init(Renderer::new, |renderer, i| {
         let scene_seed = scene_seed(settings.seed, i as u64);
         let rendered = match settings.request.press {
@@ -252,17 +262,29 @@ fn simulate_here(
         progress(Progress { step: Step::Render, done, all });
         Ok::<(), Error>(())
     })?;
-    let snaps = write_annotations(settings, &labels)?;
+    let snaps = match settings.shard {
+        None => Some(write_annotations(settings, &labels)?),
+        Some(_) => None,
+    };
     Ok(Summary { rendered: all - kept, kept, snaps })
 }
 
 impl Settings {
     fn images(&self) -> PathBuf {
-        self.out.join("images")
+        self.out.join(IMAGES)
     }
 
     fn labels(&self) -> PathBuf {
-        self.out.join("labels")
+        self.out.join(LABELS)
+    }
+
+    fn takes(&self, index: usize) -> bool {
+        self.shard.is_none_or(|shard| shard.takes(index as u64))
+    }
+
+    /// How many pictures are this call's.
+    fn own_count(&self) -> usize {
+        self.shard.map_or(self.count, |shard| shard.share(self.count as u64) as usize)
     }
 }
 
@@ -284,11 +306,15 @@ fn label_index(name: &OsStr) -> Option<usize> {
     (*name == *label_name(index)).then_some(index)
 }
 
-/// Takes the folder for this process, until the file is dropped.
-fn lock(folder: &Path) -> Result<File, Error> {
-    match files::lock(&folder.join(LOCK))? {
+/// Takes the folder for this process, a shard with others, until the file is dropped.
+fn lock(settings: &Settings) -> Result<File, Error> {
+    let sharing = match settings.shard {
+        None => Sharing::Alone,
+        Some(_) => Sharing::WithOthers,
+    };
+    match files::lock(&settings.out.join(LOCK), sharing)? {
         files::Lock::Held(file) => Ok(file),
-        files::Lock::Busy(holder) => Err(Error::Busy { path: folder.to_owned(), holder }),
+        files::Lock::Busy(holder) => Err(Error::Busy { path: settings.out.clone(), holder }),
     }
 }
 
@@ -313,6 +339,8 @@ fn check_origin(settings: &Settings) -> Result<bool, Error> {
             return Err(Error::Content { path: folder, expected, found });
         }
     }
+    // Looked at first: another shard writes its origin before all else.
+    let stranger = stranger(settings)?;
     if is_there(&path)? {
         let found: Origin = read_json(&path)?;
         return match found == wanted {
@@ -320,21 +348,29 @@ fn check_origin(settings: &Settings) -> Result<bool, Error> {
             false => Err(other(show(&found) + &other_sensor(&found, &wanted))),
         };
     }
-    if is_there(&settings.out.join(ANNOTATIONS))? {
-        return Err(other(format!("another program ({ANNOTATIONS})")));
+    match stranger {
+        Some(name) => Err(other(format!("another program ({name})"))),
+        None => Ok(false),
     }
-    for folder in [settings.images(), settings.labels()] {
+}
+
+/// The name of something in the folder that would be another program's if no data set were there.
+fn stranger(settings: &Settings) -> Result<Option<&'static str>, Error> {
+    if is_there(&settings.out.join(ANNOTATIONS))? {
+        return Ok(Some(ANNOTATIONS));
+    }
+    for name in [IMAGES, LABELS] {
+        let folder = settings.out.join(name);
         let is_empty = match fs::read_dir(&folder) {
             Ok(mut entries) => entries.next().is_none(),
             Err(e) if e.kind() == ErrorKind::NotFound => !is_there(&folder)?,
             Err(e) => return Err(Error::io(&folder)(e)),
         };
         if !is_empty {
-            let name = folder.file_name().unwrap_or_default().display();
-            return Err(other(format!("another program ({name})")));
+            return Ok(Some(name));
         }
     }
-    Ok(false)
+    Ok(None)
 }
 
 /// Whether something has this name, also a link to nothing.
@@ -361,8 +397,9 @@ fn whole_pictures(
         .map(|entry| Ok(entry?.file_name()))
         .collect::<io::Result<_>>()
         .map_err(Error::io(&labels))?;
+    let is_wanted = |i: &usize| *i < settings.count && settings.takes(*i);
     let labelled: Vec<usize> =
-        names.iter().filter_map(|n| label_index(n)).filter(|i| *i < settings.count).collect();
+        names.iter().filter_map(|n| label_index(n)).filter(is_wanted).collect();
     let done = AtomicUsize::new(0);
     let is_whole = |&i: &usize| {
         let whole = is_whole(settings, &image_path(&images, i), &label_path(&labels, i), i);

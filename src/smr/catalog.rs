@@ -8,6 +8,8 @@
 //!    - the user's data: `$XDG_DATA_HOME/smr-gpu/weights`, by default `~/.local/share/smr-gpu/weights`; on macOS
 //!      `~/Library/Application Support/smr-gpu/weights`, on Windows `%LOCALAPPDATA%\smr-gpu\weights`;
 //!    - `weights` beside the program, and up to two folders above it;
+//!    - `share/smr-gpu/weights` beside the program's folder, where packages put it: of `/usr/bin/smr-gpu` that is
+//!      `/usr/share/smr-gpu/weights`;
 //!    - `weights` in the current folder.
 //! 3. `small` is also in the program, with the feature `embedded-weights`.
 //!
@@ -67,7 +69,9 @@ impl Catalog {
         let program = env::current_exe().unwrap_or_default();
         // The third folder up from target/release/smr-gpu is the checkout.
         let beside = program.ancestors().skip(1).take(3).map(|folder| folder.join("weights"));
-        let folders = data_folder().into_iter().chain(beside).chain(["weights".into()]);
+        let share = program.ancestors().nth(2).map(|folder| folder.join("share/smr-gpu/weights"));
+        let folders = data_folder().into_iter().chain(beside).chain(share);
+        let folders = folders.chain(["weights".into()]);
         Self::new(variable, folders)
     }
 

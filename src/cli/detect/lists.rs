@@ -1,4 +1,4 @@
-//! Lists of all snaps of a run: CSV, and COCO results.
+//! Lists of all snaps of a run: CSV, and COCO results. `smr-gpu merge` makes one of several.
 
 use std::path::Path;
 
@@ -8,6 +8,15 @@ use smr_gpu::files::{Outputs, Unfinished};
 
 use super::super::exit::{Exit, Failure};
 use super::super::source::frame::FrameId;
+
+/// What a list has before its first entry, between two, and behind the last.
+pub(in super::super) type Frame = [&'static str; 3];
+
+/// Of a table; a row ends with its line.
+pub(in super::super) const CSV: Frame =
+    ["frame,index,time_s,class,score,x1,y1,x2,y2,x_mm,y_mm,yaw_deg,whole\n", "", ""];
+/// Of COCO results; each begins a line.
+pub(in super::super) const COCO: Frame = ["[", ",", "\n]\n"];
 
 /// A row for each snap.
 pub(super) struct Csv(Unfinished);
@@ -29,12 +38,10 @@ struct Row<'a> {
     whole: Option<f32>,
 }
 
-const HEAD: &[u8] = b"frame,index,time_s,class,score,x1,y1,x2,y2,x_mm,y_mm,yaw_deg,whole\n";
-
 impl Csv {
     pub fn create(outputs: &Outputs, path: &Path) -> Result<Self, Failure> {
         let mut file = outputs.create(path)?;
-        file.write(HEAD)?;
+        file.write(CSV[0].as_bytes())?;
         Ok(Self(file))
     }
 
@@ -97,7 +104,7 @@ struct CocoResult<'a> {
 impl Coco {
     pub fn create(outputs: &Outputs, path: &Path) -> Result<Self, Failure> {
         let mut file = outputs.create(path)?;
-        file.write(b"[")?;
+        file.write(COCO[0].as_bytes())?;
         Ok(Self { file, is_empty: true })
     }
 
@@ -118,15 +125,15 @@ impl Coco {
             let text = serde_json::to_string(&result).map_err(|e| {
                 Failure::new(Exit::Output, format!("{}: {e}", self.file.path().display()))
             })?;
-            let between = if self.is_empty { "\n" } else { ",\n" };
+            let between = if self.is_empty { "" } else { COCO[1] };
             self.is_empty = false;
-            self.file.write(format!("{between}{text}").as_bytes())?;
+            self.file.write(format!("{between}\n{text}").as_bytes())?;
         }
         Ok(())
     }
 
     pub fn finish(mut self, outputs: &mut Outputs) -> Result<(), Failure> {
-        self.file.write(b"\n]\n")?;
+        self.file.write(COCO[2].as_bytes())?;
         Ok(outputs.finish(self.file)?)
     }
 }

@@ -1,7 +1,7 @@
 //! `smr-gpu detect`: finds the snaps in pictures and streams, prints and draws them.
 
 mod files;
-mod lists;
+pub(super) mod lists;
 mod record;
 mod table;
 mod video;
@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::ProgressBar;
 use smr_gpu::evaluation::tradeoff::Limit;
-use smr_gpu::files::Outputs;
+use smr_gpu::files::{Outputs, Shard};
 use smr_gpu::verify::{self, Stages};
 use smr_gpu::{Config, Detections, GpuDetector};
 
@@ -51,6 +51,12 @@ pub(super) struct Args {
     /// bayer-rggb8, bayer-bggr8, bayer-grbg8, bayer-gbrg8, yuyv, nv12), one after the other.
     #[arg(long, value_name = "WxH:FORMAT")]
     raw: Option<RawFormat>,
+
+    /// Look at each nth picture alone, from the ith on: n runs on as many machines, which see the same files, do
+    /// a list of picture files, or one video, together. Indices, names and numbers are the whole list's. `merge`
+    /// makes one list of theirs.
+    #[arg(long, value_name = "I/N", conflicts_with_all = ["latest", "video", "dump_stages"])]
+    shard: Option<Shard>,
 
     /// Look at each Nth frame.
     #[arg(long, default_value_t = 1, value_name = "N", allow_negative_numbers = true)]
@@ -122,6 +128,13 @@ impl Args {
         Ok(config)
     }
 
+    /// How many frames the run looks at, where each source is one.
+    fn known_length(&self, sources: &[Source]) -> Option<u64> {
+        let all_files = sources.iter().all(|source| matches!(source, Source::File(_)));
+        let frames = (sources.len() as u64).div_ceil(self.every);
+        all_files.then_some(self.shard.map_or(frames, |shard| shard.share(frames)))
+    }
+
     /// Refuses sources that the options do not fit.
     fn check(&self, sources: &[Source]) -> Result<(), Failure> {
         let is_one = matches!(sources, [Source::File(_) | Source::Stdin]) && self.raw.is_none();
@@ -131,6 +144,14 @@ impl Args {
                 _ => sources.len().to_string(),
             };
             return Err(Failure::usage(format!("--dump-stages: expected one picture, got {got}")));
+        }
+        let other = sources.iter().find(|source| !matches!(source, Source::File(_)));
+        if let (Some(_), Some(other)) = (self.shard, other)
+            && !matches!(sources, [Source::Video(_)])
+        {
+            return Err(Failure::usage(format!(
+                "--shard: expected picture files, or one video, got {other}"
+            )));
         }
         match self.raw.is_some() && !sources.contains(&Source::Stdin) {
             true => {
@@ -163,13 +184,14 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         outputs,
         assumed: Assumed::default(),
         sums: Sums::default(),
-        progress: counter(known_length(&sources), "pictures"),
+        progress: counter(args.known_length(&sources), "pictures"),
         exit,
         detector: &detector,
         args: &args,
     };
     let begun = Instant::now();
-    let wanted = Wanted { every: args.every, latest: args.latest, raw: args.raw };
+    let Args { every, shard, latest, raw, .. } = args;
+    let wanted = Wanted { every, shard, latest, raw };
     let mut reader = Reader::start(sources, wanted);
     let stopped = stop_in_order(reader.stopper());
     let failure = reader.by_ref().find_map(|event| run.take(event).err());
@@ -189,12 +211,6 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         remark(line)
     }
     Ok(if stopped.load(Ordering::SeqCst) { Exit::Interrupted } else { run.exit })
-}
-
-/// How many frames there are, where each source is one.
-fn known_length(sources: &[Source]) -> Option<u64> {
-    let all_files = sources.iter().all(|source| matches!(source, Source::File(_)));
-    all_files.then_some(sources.len() as u64)
 }
 
 /// Lets Ctrl-C, and what else asks for an end, end the reading; a second one ends the program at once.

@@ -16,6 +16,8 @@ use super::Source;
 #[derive(Clone, Debug, PartialEq)]
 pub(in super::super) struct FrameId {
     pub source: Arc<Source>,
+    /// What files that are made of the source are called.
+    pub name: Arc<str>,
     /// From 0: the frame's place in its stream, a picture file's among those of the run. Frames that are
     /// skipped count.
     pub index: u64,
@@ -38,8 +40,8 @@ impl FrameId {
     /// What files that are made of the frame are called.
     pub fn stem(&self) -> String {
         match *self.source {
-            Source::File(_) => self.source.stem(),
-            _ => format!("{}-{:06}", self.source.stem(), self.index),
+            Source::File(_) => self.name.to_string(),
+            _ => format!("{}-{:06}", self.name, self.index),
         }
     }
 }

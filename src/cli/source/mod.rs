@@ -5,6 +5,7 @@ mod queue;
 pub(super) mod reader;
 mod video;
 
+use std::collections::{HashMap, HashSet};
 use std::ffi::OsString;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -116,8 +117,8 @@ impl Source {
         }
     }
 
-    /// What files that are made of it are called, before its frame's number.
-    pub fn stem(&self) -> String {
+    /// What files that are made of it are called, before its frame's number, where no other is called so.
+    fn stem(&self) -> String {
         let stem = match self {
             Self::File(path) | Self::Video(path) => path.file_stem().map(shown),
             Self::Stdin => Some("stdin".into()),
@@ -130,6 +131,26 @@ impl Source {
         };
         stem.filter(|stem| !stem.is_empty()).unwrap_or_else(|| "picture".into())
     }
+}
+
+/// Each source with its name for files that are made of it: its stem, with a number where one before it has that.
+/// So a name says nothing of what was found in others.
+fn named(sources: Vec<Source>) -> impl Iterator<Item = (Source, String)> {
+    let (mut taken, mut numbers) = (HashSet::new(), HashMap::<_, u32>::new());
+    sources.into_iter().map(move |source| {
+        let stem = source.stem();
+        let number = numbers.entry(stem.clone()).or_default();
+        loop {
+            *number += 1;
+            let name = match *number {
+                1 => stem.clone(),
+                n => format!("{stem}-{n}"),
+            };
+            if taken.insert(name.clone()) {
+                return (source, name);
+            }
+        }
+    })
 }
 
 /// What all of a command's arguments name. What cannot be read is told; then the exit code is
@@ -271,6 +292,16 @@ mod tests {
         for name in ["x.png", "x", "c://x.png", "a b://x", "/dev/null"] {
             assert_eq!(of(name), Source::File(name.into()), "{name}");
         }
+    }
+
+    #[test]
+    fn no_two_sources_give_their_files_one_name() {
+        let of = |names: &[&str]| {
+            let sources = names.iter().map(|name| Source::from(Path::new(name))).collect();
+            named(sources).map(|(_, name)| name).collect::<Vec<_>>()
+        };
+        let names = ["a/x.png", "b/x.jpg", "x-2.png", "x.mp4", "-", "stdin.png"];
+        assert_eq!(of(&names), ["x", "x-2", "x-2-2", "x-3", "stdin", "stdin-2"]);
     }
 
     #[test]

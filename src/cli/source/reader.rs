@@ -6,18 +6,21 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::Instant;
 
+use smr_gpu::files::Shard;
 use smr_gpu::picture::{self, Pictures};
 
-use super::Source;
 use super::frame::{FrameId, Pixels, RawFormat, Shot};
 use super::queue::{Item, Queue};
 use super::video::Video;
+use super::{Source, named};
 
 /// What is read of the sources.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Wanted {
     /// Frames whose index is a multiple of this.
     pub every: u64,
+    /// Of those the ones that this run takes; `None` for all.
+    pub shard: Option<Shard>,
     /// A frame that waits makes room for the next.
     pub latest: bool,
     /// Stdin brings frames of this format.
@@ -62,13 +65,15 @@ impl Reader {
     pub fn start(sources: Vec<Source>, wanted: Wanted) -> Self {
         let queue = Arc::new(Queue::new(wanted.latest));
         let video = Arc::default();
-        let mut feed = Feed { queue: queue.clone(), video, wanted, number: 0, files: 0 };
+        let name = Arc::default();
+        let mut feed = Feed { queue: queue.clone(), video, wanted, name, number: 0, files: 0 };
         let video = feed.video.clone();
         let thread = thread::spawn(move || {
-            for source in sources {
+            for (source, name) in named(sources) {
                 if !feed.queue.has_room() {
                     break;
                 }
+                feed.name = name.into();
                 feed.read(&Arc::new(source));
             }
         });
@@ -116,6 +121,8 @@ struct Feed {
     queue: Arc<Frames>,
     video: Arc<Mutex<Option<Video>>>,
     wanted: Wanted,
+    /// What files that are made of the source are called.
+    name: Arc<str>,
     /// Frames until now, and picture files among them.
     number: u64,
     files: u64,
@@ -144,7 +151,8 @@ impl Feed {
     }
 
     fn id(&self, source: &Arc<Source>, index: u64) -> FrameId {
-        FrameId { source: source.clone(), index, number: self.number, time_s: None }
+        let (source, name) = (source.clone(), self.name.clone());
+        FrameId { source, name, index, number: self.number, time_s: None }
     }
 
     /// Counts a frame; passes it on if it is wanted.
@@ -155,7 +163,9 @@ impl Feed {
         pixels: impl FnOnce() -> Result<Pixels, String>,
     ) {
         self.number += 1;
-        if !id.index.is_multiple_of(self.wanted.every) {
+        let Wanted { every, shard, .. } = self.wanted;
+        let is_other = |shard: Shard| !shard.takes(id.index / every);
+        if !id.index.is_multiple_of(every) || shard.is_some_and(is_other) {
             return;
         }
         match pixels() {

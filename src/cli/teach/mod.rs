@@ -20,7 +20,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::HumanDuration;
 use serde::{Deserialize, Serialize};
-use smr_gpu::files::{self, Lock, Outputs, lock};
+use smr_gpu::files::{self, Lock, Outputs, Sharing, lock};
 use smr_gpu::simulator::dataset::{self, Progress, Settings, Step};
 use smr_gpu::simulator::given::Given;
 use smr_gpu::simulator::scene::Own;
@@ -166,7 +166,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     std::fs::create_dir_all(&work)
         .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", shown(work.as_os_str()))))?;
     let python = Python::new(&args.python, &work)?;
-    let _lock = match lock(&work.join(".teach.lock"))? {
+    let _lock = match lock(&work.join(".teach.lock"), Sharing::Alone)? {
         Lock::Held(file) => file,
         Lock::Busy(_) => {
             let work = shown(work.as_os_str());

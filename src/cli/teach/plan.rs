@@ -107,7 +107,7 @@ impl Plan<'_> {
             .map(|(at, (role, name, count, request))| {
                 let out = self.work.join(folder(role)).join(&name);
                 let seed = self.seed.wrapping_mul(SEEDS).wrapping_add(at);
-                Set { role, name, settings: Settings { out, count, seed, request } }
+                Set { role, name, settings: Settings { out, count, seed, request, shard: None } }
             })
             .collect()
     }

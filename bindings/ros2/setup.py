@@ -17,7 +17,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/launch", ["launch/smr_gpu.launch.xml"]),
-        (f"share/{NAME}/config", ["config/smr_gpu.yaml"]),
+        (f"share/{NAME}/config", ["config/fastdds.xml", "config/smr_gpu.yaml"]),
     ],
     entry_points={
         "console_scripts": [

@@ -13,7 +13,7 @@ from pathlib import Path
 # Of the whole session, before ROS reads them: a domain of its own on this machine alone, and room for large images.
 os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "LARGE_DATA"
+os.environ["FASTDDS_DEFAULT_PROFILES_FILE"] = str(Path(__file__).parents[1] / "config/fastdds.xml")
 
 import numpy as np
 import pytest
@@ -92,10 +92,16 @@ class Peer(Node):
         self.until(future.done, "an answer about parameters")
         return future.result().result.successful, future.result().result.reason
 
-    def report(self, matches=lambda level, message, values: True):
-        """The next diagnostic that matches."""
+    def report(self, matches=lambda level, message, values: True, sending=None):
+        """The next diagnostic that matches; meanwhile an image is sent again and again, if there is one."""
         self.reports.clear()
-        return self.until(lambda: next((each for each in self.reports if matches(*each)), None), "a diagnostic")
+
+        def matching():
+            if sending is not None:
+                self.send(sending)
+            return next((each for each in self.reports if matches(*each)), None)
+
+        return self.until(matching, "a diagnostic")
 
 
 class Running:
@@ -128,8 +134,8 @@ def ros():
 
 
 @pytest.fixture
-def namespace(request):
-    return f"/{request.node.originalname}_{next(_COUNT)}"
+def namespace():
+    return f"/test_{next(_COUNT)}"
 
 
 _COUNT = itertools.count()

@@ -83,8 +83,7 @@ def test_a_wrong_value_at_the_start_ends_the_node_by_name(start):
 
 def test_without_weights_it_waits_for_them(start, peer, mixed):
     node = start(weights="nowhere.safetensors")
-    peer.send(image(mixed, "rgb8"))
-    level, message, _ = peer.report(lambda level, message, values: values["failed"] != "0")
+    level, message, _ = peer.report(lambda level, message, values: values["failed"] != "0", sending=image(mixed, "rgb8"))
     assert level == b"\x02"
     assert message.startswith("no detector: ") and "nowhere.safetensors" in message
     assert "no detector: " in node.log()
@@ -95,13 +94,11 @@ def test_without_weights_it_waits_for_them(start, peer, mixed):
 def test_a_scale_that_nobody_states_is_told_or_refused(start, peer, mixed):
     start(mm_per_pixel=0.0)
     message = image(mixed, "rgb8")
-    peer.answer(message)
-    level, said, values = peer.report(lambda level, message, values: "assumed" in message or not peer.send(message))
+    level, said, values = peer.report(lambda level, message, values: "assumed" in message, sending=message)
     assert (level, said) == (b"\x01", "1000 × 1000: assumed 0.0400 mm a pixel")
     assert values["mm a pixel"] == "0.04 (assumed)"
     assert peer.set(strict_scale=True) == (True, "")
-    peer.send(message)
-    level, said, _ = peer.report(lambda level, message, values: values["failed"] != "0" and level == b"\x02")
+    level, said, _ = peer.report(lambda level, *_: level == b"\x02", sending=message)
     assert "scale" in said
     assert peer.set(mm_per_pixel=0.04) == (True, "")
     peer.detections.clear()

@@ -15,11 +15,11 @@ def expected(found):
     """The rows of a message, computed here from what the package found."""
     for snap in found:
         x1, y1, x2, y2 = snap.box
-        yaw = None if snap.yaw_deg is None else snap.yaw_deg * math.pi / 180
+        yaw = None if snap.yaw_deg is None else math.radians(snap.yaw_deg)
         covariance = [0.0] * 36
         covariance[0], covariance[7] = ((std / 1000) ** 2 for std in snap.center_std_mm)
         covariance[14] = covariance[21] = covariance[28] = 1e6
-        covariance[35] = 1e6 if yaw is None else (snap.yaw_std_deg * math.pi / 180) ** 2
+        covariance[35] = 1e6 if yaw is None else math.radians(snap.yaw_std_deg) ** 2
         yield (
             snap.class_name,
             snap.score,

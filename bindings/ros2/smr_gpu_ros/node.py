@@ -50,6 +50,7 @@ class SnapNode(Node):
 
     def __init__(self) -> None:
         super().__init__("smr_gpu_node")
+        self._worker: Worker[_Job] | None = None
         parameters.declare(self)
         self._values = parameters.values(self)
         self._detector: smr_gpu.Detector | None = None
@@ -78,8 +79,9 @@ class SnapNode(Node):
         self.add_post_set_parameters_callback(self._take_over)
 
     def destroy_node(self) -> None:
-        """Ends the thread, then the node."""
-        self._worker.stop()
+        """Ends the thread, then the node; also one whose parameters were refused."""
+        if self._worker is not None:
+            self._worker.stop()
         super().destroy_node()
 
     # Images

@@ -36,11 +36,11 @@ def test_changes_take_effect(start, peer, mixed):
     assert [row[0] for row in rows(answer_after(classes=["B"]))] == ["B"]
     assert [row[0] for row in rows(answer_after(classes=[""]))] == ["A", "B", "A"]
     assert [row[1] for row in rows(answer_after(score=(best + second) / 2))] == [best]
-    first, = rows(answer_after(gel_frame="other"))[0][4:5]
-    # Twice the scale, and a picture whose snaps are twice as large.
-    wide = rows(answer_after(mm_per_pixel=0.08, score=0.0))
-    assert {row[4] for row in wide} != {first}
-    assert peer.report()[2]["mm a pixel"] == "0.08 (stated)"
+    answer_after(mm_per_pixel=0.05, gel_frame="other")
+    assert peer.report()[2]["mm a pixel"] == "0.05 (stated)"
+    assert peer.set(mm_per_pixel=0.04, score=0.5) == (True, "")
+    peer.poses.clear()
+    assert len(peer.answer(message).detections) == 3
     peer.until(lambda: peer.poses and peer.poses[-1].header.frame_id == "other", "poses in the other frame")
 
 

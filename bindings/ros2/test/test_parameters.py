@@ -1,7 +1,11 @@
 """Parameters: described, changed while it runs, refused with the old detector going on."""
 
+import re
+import subprocess
+
 import pytest
-from conftest import image, rows
+import yaml
+from conftest import BIN, ROOT, image, rows
 from rcl_interfaces.srv import DescribeParameters
 
 from smr_gpu_ros import parameters
@@ -103,3 +107,22 @@ def test_a_scale_that_nobody_states_is_told_or_refused(start, peer, mixed):
     assert peer.set(mm_per_pixel=0.04) == (True, "")
     peer.detections.clear()
     assert len(peer.answer(message).detections) == 3
+
+
+def test_the_file_of_parameters_has_the_defaults(namespace, tmp_path):
+    file = ROOT / "bindings/ros2/config/smr_gpu.yaml"
+    (said,) = yaml.safe_load(file.read_text()).values()
+    assert said["ros__parameters"] == parameters.DEFAULTS
+    # It is for the node in any namespace: a wrong value in it is seen.
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text(file.read_text().replace("score: 0.5", "score: 7.5"))
+    for at in ("/", namespace, f"{namespace}/deeper"):
+        command = [BIN / "smr_gpu_node", "--ros-args", "-r", f"__ns:={at}", "--params-file", wrong]
+        run = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        assert (run.returncode, "score out of range" in run.stderr) == (2, True)
+
+
+def test_the_readme_has_all_parameters():
+    readme = (ROOT / "bindings/ros2/README.md").read_text()
+    table = readme.split("## Parameters")[1].split("## What goes wrong")[0]
+    assert re.findall(r"^\| `(\w+)`", table, re.MULTILINE) == list(parameters.DEFAULTS)

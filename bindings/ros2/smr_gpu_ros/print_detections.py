@@ -1,0 +1,33 @@
+"""`print_detections`: what the node found, a line a snap."""
+
+import math
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from vision_msgs.msg import Detection2DArray
+
+from smr_gpu_ros.messages import UNKNOWN
+
+
+def main() -> int:
+    """Prints detections until interrupted."""
+    try:
+        with rclpy.init():
+            node = Node("print_detections")
+            node.create_subscription(Detection2DArray, "detections", _print, 10)
+            rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    return 0
+
+
+def _print(message: Detection2DArray) -> None:
+    stamp = message.header.stamp
+    print(f"{stamp.sec}.{stamp.nanosec:09} {message.header.frame_id}: {len(message.detections)} snaps", flush=True)
+    for detection in message.detections:
+        (result,) = detection.results
+        position, covariance = result.pose.pose.position, result.pose.covariance
+        x, y = 1e3 * position.x, 1e3 * position.y
+        yaw = "-" if covariance[35] == UNKNOWN else f"{math.degrees(detection.bbox.center.theta):.1f}°"
+        print(f"  {result.hypothesis.class_id} {result.hypothesis.score:.3f} at {x:.2f}, {y:.2f} mm, yaw {yaw}", flush=True)

@@ -119,7 +119,7 @@ fn a_time_limit_is_a_typed_error_and_leaves_the_slot_usable() {
         assert!(matches!(result, Err(Error::Timeout { .. })), "{result:?}");
     }
     let mut slot = convolution(LONG);
-    slot.submit(&[&[]]).expect("a submission");
+    pollster::block_on(slot.submit(&[&[]])).expect("a submission");
     let result = pollster::block_on(slot.receive(Deadline::after(Duration::ZERO)));
     assert!(matches!(result, Err(Error::Timeout { .. })), "{result:?}");
     slot.run(&[]).expect("a run");
@@ -130,12 +130,12 @@ fn a_time_limit_is_a_typed_error_and_leaves_the_slot_usable() {
 #[test]
 fn a_run_that_is_given_up_is_waited_for() {
     let mut slot = convolution(LONG);
-    slot.submit(&[&[]]).expect("a submission");
+    pollster::block_on(slot.submit(&[&[]])).expect("a submission");
     let mut given_up = Box::pin(slot.receive(Deadline::after(LONG)));
     let polled = given_up.as_mut().poll(&mut Context::from_waker(Waker::noop()));
     assert!(polled.is_pending());
     drop(given_up);
-    assert!(slot.submit(&[&[]]).is_err(), "the run is under way");
+    assert!(pollster::block_on(slot.submit(&[&[]])).is_err(), "the run is under way");
     slot.run(&[]).expect("a run");
 }
 

@@ -136,7 +136,7 @@ fn a_device_that_is_destroyed_at_work_is_lost_at_once() {
     let gpu = open(&faults);
     let mut slots = [0; 4].map(|_| small.slot(&gpu).expect("a slot"));
     for slot in &mut slots {
-        slot.submit(&[&[(small.input, &small.value)]]).expect("submitted");
+        pollster::block_on(slot.submit(&[&[(small.input, &small.value)]])).expect("submitted");
     }
     gpu.destroy();
     check(small.slot(&gpu), Fault::Lost, "a program");
@@ -163,7 +163,7 @@ fn a_slot_waits_for_a_late_run_no_longer_than_it_may() {
     let fault = Fault::Late(Duration::from_secs(4));
     faults.fail(Call::Map, 0, fault);
     let soon = || Deadline::after(Duration::from_millis(20));
-    slot.submit(&[&[(small.input, &small.value)]]).expect("submitted");
+    pollster::block_on(slot.submit(&[&[(small.input, &small.value)]])).expect("submitted");
     check(pollster::block_on(slot.receive(soon())), fault, "the run");
     let waited = pollster::block_on(slot.recover(soon())).expect_err("still under way");
     assert!(waited.to_string().contains("an earlier picture"), "{waited}");

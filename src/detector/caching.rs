@@ -101,7 +101,7 @@ impl CachingDetector {
         let session = detector.session();
         match self.detect_with(&session, &input, deadline).await {
             Err(e) => {
-                let session = detector.recover(&session, e)?;
+                let session = detector.recover(&session, e).await?;
                 self.detect_with(&session, &input, deadline).await
             }
             found => found,

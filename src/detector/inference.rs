@@ -249,7 +249,7 @@ async fn run(
 ) -> Result<Vec<Result<RegionResult>>> {
     let Some(first) = region_jobs.first() else { return Ok(Vec::new()) };
     let (engine, deadline) =
-        deadline.beside(|| session.compiled(first.key(precision, region_jobs.len())));
+        deadline.beside(session.compiled(first.key(precision, region_jobs.len()))).await;
     let engine = engine?;
     let network = &engine.network;
     let crops: Vec<_> = region_jobs

@@ -1,6 +1,8 @@
 //! From a frame to what the network takes.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
+
+use web_time::Instant;
 
 use crate::detector::geometry::{Geometry, Region};
 use crate::engine::graph::{StageTime, TensorId};

@@ -12,6 +12,7 @@
 //! | `geometry` | how large the network's input is for a view, and regions of it |
 //! | `input` | from a frame to what the network takes |
 //! | `output` | from what the network gives to detections |
+//! | `gate` | what one caller does at a time |
 //! | `pool` | the memory of runs: as many in flight as there are arenas |
 //! | `runner` | what runs a graph: a GPU, the CPU, the reference |
 //! | `compiled` | the network for one size of input, and what runs it |
@@ -27,6 +28,7 @@ pub(crate) mod compiled;
 mod config;
 mod contact_map;
 mod detection;
+mod gate;
 mod geometry;
 mod inference;
 pub(crate) mod input;
@@ -41,7 +43,8 @@ pub(crate) mod session;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
-use std::time::Instant;
+
+use web_time::Instant;
 
 use crate::engine::gpu::{Deadline, Gpu};
 use crate::engine::lock::lock;
@@ -56,6 +59,7 @@ use crate::smr::ModelConfig;
 pub use caching::{CachingDetector, MOST_REUSED};
 pub use config::{Config, Device};
 pub use detection::{Detection, Detections};
+use gate::Gate;
 use geometry::Geometry;
 use inference::Job;
 use input::Input;
@@ -73,7 +77,7 @@ pub struct GpuDetector {
     /// The frame without contact as the last view shows it.
     reference: Mutex<Option<(View, Arc<Value>)>>,
     /// Held while the session is rebuilt.
-    rebuilding: Mutex<()>,
+    rebuilding: Gate,
     /// Whether the device is the caller's, who alone can replace it.
     foreign: bool,
 }
@@ -142,11 +146,11 @@ impl GpuDetector {
         }
         let session = Session::open(&config, gpu).await?;
         let model = session.model().clone();
-        let (session, rebuilding) = (RwLock::new(Arc::new(session)), Mutex::new(()));
+        let (session, rebuilding) = (RwLock::new(Arc::new(session)), Gate::default());
         let reference = Mutex::default();
         let detector = Self { config, model, session, reference, rebuilding, foreign };
         match detector.usual_frame() {
-            Some(frame) => detector.prepare(frame)?,
+            Some(frame) => detector.prepare(frame).await?,
             None => detector.session().check()?,
         }
         Ok(detector)
@@ -163,20 +167,20 @@ impl GpuDetector {
     }
 
     /// Builds what frames of this width and height need.
-    fn prepare(&self, frame: [u32; 2]) -> Result<()> {
+    async fn prepare(&self, frame: [u32; 2]) -> Result<()> {
         let view = view::view(frame, self.known())?;
         let geometry = Geometry::new(&view, &self.model, self.config.input_size)?;
         let session = self.session();
         let (savings, size) = (&self.config.savings, geometry.size);
         // All of the network first: what leaves some of it out then shares its weights.
         let all = session.whole(size, session.precision());
-        session.compiled(all)?;
+        session.compiled(all).await?;
         let proposals = savings.proposals(size, false);
-        session.compiled(Key { proposals, deepest: !savings.scales, ..all })?;
+        session.compiled(Key { proposals, deepest: !savings.scales, ..all }).await?;
         if savings.need_contact() {
             let reference = self.reference(&view)?.is_some();
             let cells = contact_map::cells(&view);
-            session.contact(contact_map::Key { cells, reference, stream: false })?;
+            session.contact(contact_map::Key { cells, reference, stream: false }).await?;
         }
         Ok(())
     }
@@ -255,8 +259,8 @@ impl GpuDetector {
     }
 
     /// [`GpuDetector::detect`] for callers with an executor of their own. Waiting for a GPU does not
-    /// block; making ready for a size that no picture had lately does, and opening a new device in place of a
-    /// lost one. The CPU computes before the future is ready.
+    /// block. Making ready for a size that no picture had lately does, and opening a new device in place of a
+    /// lost one, but not in a browser. The CPU computes before the future is ready.
     ///
     /// # Errors
     /// As [`GpuDetector::detect`].
@@ -266,7 +270,10 @@ impl GpuDetector {
         let input = self.input(&frame)?;
         let session = self.session();
         match self.detect_with(&session, &input, deadline).await {
-            Err(e) => self.detect_with(&*self.recover(&session, e)?, &input, deadline).await,
+            Err(e) => {
+                let session = self.recover(&session, e).await?;
+                self.detect_with(&session, &input, deadline).await
+            }
             found => found,
         }
     }
@@ -357,7 +364,7 @@ impl GpuDetector {
         let cells = contact_map::cells(&input.view);
         let reference = self.reference(&input.view)?;
         let kind = contact_map::Key { cells, reference: reference.is_some(), stream };
-        let (graph, deadline) = deadline.beside(|| session.contact(kind));
+        let (graph, deadline) = deadline.beside(session.contact(kind)).await;
         graph?.run(input, reference.as_deref(), before, deadline).await
     }
 
@@ -403,23 +410,27 @@ impl GpuDetector {
     ///
     /// # Errors
     /// The error itself, and what opening a device returns.
-    pub(crate) fn recover(&self, session: &Arc<Session>, error: Error) -> Result<Arc<Session>> {
+    pub(crate) async fn recover(
+        &self,
+        session: &Arc<Session>,
+        error: Error,
+    ) -> Result<Arc<Session>> {
         match error {
             Error::DeviceLost(_) if self.config.rebuild_on_loss && !self.foreign => {
-                self.rebuild(session)
+                self.rebuild(session).await
             }
             error => Err(error),
         }
     }
 
-    /// Opens a new device in place of that of `lost`, unless another thread has.
-    fn rebuild(&self, lost: &Arc<Session>) -> Result<Arc<Session>> {
-        let _one = lock(&self.rebuilding);
+    /// Opens a new device in place of that of `lost`, unless another caller has.
+    async fn rebuild(&self, lost: &Arc<Session>) -> Result<Arc<Session>> {
+        let _one = self.rebuilding.pass().await;
         let current = self.session();
         if !Arc::ptr_eq(&current, lost) {
             return Ok(current);
         }
-        let mut session = pollster::block_on(Session::open(&self.config, None))?;
+        let mut session = Session::open(&self.config, None).await?;
         if session.adapter != lost.adapter {
             let remark = format!("{} was lost: {} goes on", lost.adapter, session.adapter);
             session.remarks.push(remark);
@@ -445,7 +456,7 @@ mod tests {
         let detector = GpuDetector::new(config).expect("a detector");
         let want = "GpuDetector(classes A, B, sensor none named, on CPU reference (f64))";
         assert_eq!(format!("{detector:?}"), want);
-        let engine = detector.session().one([320, 320]).expect("an engine");
+        let engine = pollster::block_on(detector.session().one([320, 320])).expect("an engine");
         let network = format!("{:?}", engine.network);
         let start = "Network(320 × 320, classes A, B, Graph(";
         assert!(network.starts_with(start) && network.len() < 100, "{network}");

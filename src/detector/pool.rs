@@ -135,7 +135,7 @@ impl Slots {
             None => Slot::sharing(&self.program, &lease.arena).await?,
         });
         slot.recover(deadline).await?;
-        slot.submit(pictures)?;
+        slot.submit(pictures).await?;
         slot.receive(deadline).await
     }
 

@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use crate::detector::compiled::{self, Compiled};
 use crate::detector::contact_map;
+use crate::detector::gate::Gate;
 use crate::detector::pool::Pool;
 use crate::detector::runner::On;
 use crate::detector::{Config, Device, Savings};
@@ -51,7 +52,7 @@ pub(crate) struct Session {
     /// The graphs of contact maps.
     contacts: Recent<contact_map::Key, contact_map::ContactGraph>,
     /// Held while one is built.
-    building: Mutex<()>,
+    building: Gate,
 }
 
 impl Session {
@@ -90,7 +91,7 @@ impl Session {
             remarks,
             ready: Recent::new(),
             contacts: Recent::new(),
-            building: Mutex::default(),
+            building: Gate::default(),
         })
     }
 
@@ -128,8 +129,8 @@ impl Session {
     ///
     /// # Errors
     /// As [`Compiled::new`].
-    pub fn one(&self, size: [usize; 2]) -> Result<Arc<Compiled>> {
-        self.compiled(self.whole(size, self.precision()))
+    pub async fn one(&self, size: [usize; 2]) -> Result<Arc<Compiled>> {
+        self.compiled(self.whole(size, self.precision())).await
     }
 
     /// What a whole picture alone needs whose input has `size`, height and width, and of which nothing is left
@@ -139,39 +140,33 @@ impl Session {
         Key { size, precision, batch: 1, proposals, deepest: true }
     }
 
-    /// A compiled network; built first if no picture asked for it lately. Building blocks this thread.
+    /// A compiled network; built first if no picture asked for it lately.
     ///
     /// # Errors
     /// As [`Compiled::new`].
-    pub fn compiled(&self, key: Key) -> Result<Arc<Compiled>> {
+    pub async fn compiled(&self, key: Key) -> Result<Arc<Compiled>> {
         // What cannot do without it has one for both.
         let deepest = key.deepest || !self.model().variant.leaves_deepest();
         let key = Key { deepest, ..key };
-        self.ready.get_or_build(key, &self.building, || {
+        let build = async || {
             let like = self.ready.best(|other| (other.precision == key.precision, other.deepest));
             let Key { size, precision, batch, proposals, deepest } = key;
             let wanted = Wanted { most_proposals: proposals, deepest, ..self.wanted };
             let network = Network::new(self.weights.clone(), size, wanted)?;
             let on = self.pool.as_ref().map(|pool| On { pool, precision, batch });
-            let engine = Compiled::new(&self.config, network, on, &self.kernels, like.as_deref());
-            pollster::block_on(engine)
-        })
+            Compiled::new(&self.config, network, on, &self.kernels, like.as_deref()).await
+        };
+        self.ready.get_or_build(key, &self.building, build).await
     }
 
-    /// The graph of a contact map; built first if no picture asked for it lately. Building blocks this thread.
+    /// The graph of a contact map; built first if no picture asked for it lately.
     ///
     /// # Errors
     /// As [`Compiled::new`].
-    pub fn contact(&self, key: contact_map::Key) -> Result<Arc<contact_map::ContactGraph>> {
-        self.contacts.get_or_build(key, &self.building, || {
-            let pool = self.pool.as_ref();
-            pollster::block_on(contact_map::ContactGraph::new(
-                &self.config,
-                key,
-                pool,
-                &self.kernels,
-            ))
-        })
+    pub async fn contact(&self, key: contact_map::Key) -> Result<Arc<contact_map::ContactGraph>> {
+        let (config, pool, kernels) = (&self.config, self.pool.as_ref(), &self.kernels);
+        let build = || contact_map::ContactGraph::new(config, key, pool, kernels);
+        self.contacts.get_or_build(key, &self.building, build).await
     }
 }
 
@@ -184,21 +179,21 @@ impl<K: PartialEq + Copy, T> Recent<K, T> {
     }
 
     /// What `key` names; built first, one at a time while `building` is held, if it is not there.
-    fn get_or_build(
+    async fn get_or_build<F: Future<Output = Result<T>>>(
         &self,
         key: K,
-        building: &Mutex<()>,
-        build: impl FnOnce() -> Result<T>,
+        building: &Gate,
+        build: impl FnOnce() -> F,
     ) -> Result<Arc<T>> {
         if let Some(found) = self.find(key) {
             return Ok(found);
         }
-        let _one = lock(building);
-        // Another thread may have been faster.
+        let _one = building.pass().await;
+        // Another caller may have been faster.
         if let Some(found) = self.find(key) {
             return Ok(found);
         }
-        let built = Arc::new(build()?);
+        let built = Arc::new(build().await?);
         let mut all = self.all();
         all.push((key, built.clone()));
         if all.len() > MOST {

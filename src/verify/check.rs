@@ -123,6 +123,14 @@ impl Row {
 /// [`Error::Param`] for a case that the operation does not have, and what ends the device. What an
 /// operation refuses or gets wrong is a failure in its row.
 pub fn rows(target: &Target, entry: &Entry, selection: &Selection) -> Result<Vec<Row>> {
+    pollster::block_on(rows_async(target, entry, selection))
+}
+
+/// [`rows`] for callers with an executor of their own.
+///
+/// # Errors
+/// As [`rows`].
+pub async fn rows_async(target: &Target, entry: &Entry, selection: &Selection) -> Result<Vec<Row>> {
     let mut cases = (entry.cases)();
     if let Some(wanted) = &selection.case {
         let known: Vec<String> = cases.iter().map(|case| format!("`{}`", case.name)).collect();
@@ -134,7 +142,7 @@ pub fn rows(target: &Target, entry: &Entry, selection: &Selection) -> Result<Vec
     }
     let mut rows: Vec<Row> = Vec::new();
     for case in &cases {
-        for Outcome { kernel, precision, report } in outcomes(target, case, selection)? {
+        for Outcome { kernel, precision, report } in outcomes(target, case, selection).await? {
             let report = match report {
                 Ok(report) => report,
                 Err(e @ (Error::DeviceLost(_) | Error::Timeout { .. } | Error::Driver { .. })) => {
@@ -174,17 +182,17 @@ struct Outcome {
 }
 
 /// What each selected kernel makes of a case, in each selected precision.
-fn outcomes(target: &Target, case: &Case, selection: &Selection) -> Result<Vec<Outcome>> {
+async fn outcomes(target: &Target, case: &Case, selection: &Selection) -> Result<Vec<Outcome>> {
     let wanted = |id: &str| selection.kernel.as_deref().is_none_or(|kernel| kernel == id);
     let stored = |precision| selection.precision.is_none_or(|wanted| wanted == precision);
     let mut found = Vec::new();
     match target {
         Target::Gpu(gpu) => {
             if stored(Precision::F32) {
-                found.extend(singles(gpu, &Expected::of(case)?, &case.inputs, wanted)?);
+                found.extend(singles(gpu, &Expected::of(case)?, &case.inputs, wanted).await?);
             }
             if stored(Precision::F16) {
-                found.extend(halves(gpu, case, wanted)?);
+                found.extend(halves(gpu, case, wanted).await?);
             }
         }
         #[cfg(feature = "cpu")]
@@ -207,7 +215,7 @@ fn outcomes(target: &Target, case: &Case, selection: &Selection) -> Result<Vec<O
 /// report.
 pub fn check(gpu: &Arc<Gpu>, case: &Case) -> Result<Report> {
     let mut report = check_expected(gpu, &Expected::of(case)?, &case.inputs)?;
-    for outcome in halves(gpu, case, |_| true)? {
+    for outcome in pollster::block_on(halves(gpu, case, |_| true))? {
         report.add(outcome.report?);
     }
     Ok(report)
@@ -219,31 +227,38 @@ pub fn check(gpu: &Arc<Gpu>, case: &Case) -> Result<Report> {
 /// As [`check`].
 pub fn check_expected(gpu: &Arc<Gpu>, expected: &Expected, inputs: &[Value]) -> Result<Report> {
     let mut report = Report::default();
-    for outcome in singles(gpu, expected, inputs, |_| true)? {
+    for outcome in pollster::block_on(singles(gpu, expected, inputs, |_| true))? {
         report.add(outcome.report?);
     }
     Ok(report)
 }
 
 /// What each wanted kernel makes of a case in f32.
-fn singles(
+async fn singles(
     gpu: &Arc<Gpu>,
-    expected: &Expected,
+    expected: &Expected<'_>,
     inputs: &[Value],
     wanted: impl Fn(&str) -> bool,
 ) -> Result<Vec<Outcome>> {
     let precision = Precision::F32;
-    let kernels = fitting(gpu, expected.case(), precision)?.into_iter();
-    let run = |(kernel, _): (&'static dyn Kernel, _)| {
-        let report = check_kernel(gpu, expected, inputs, (kernel, precision)).transpose()?;
-        Some(Outcome { kernel: kernel.id(), precision, report })
-    };
-    Ok(kernels.filter(|(kernel, _)| wanted(kernel.id())).filter_map(run).collect())
+    let mut found = Vec::new();
+    for (kernel, _) in fitting(gpu, expected.case(), precision)? {
+        if wanted(kernel.id()) {
+            let report = check_kernel(gpu, expected, inputs, (kernel, precision)).await;
+            let outcome = |report| Outcome { kernel: kernel.id(), precision, report };
+            found.extend(report.transpose().map(outcome));
+        }
+    }
+    Ok(found)
 }
 
 /// What each wanted kernel makes of a case in f16; nothing where nothing is stored so, or an input
 /// overflows.
-fn halves(gpu: &Arc<Gpu>, case: &Case, wanted: impl Fn(&str) -> bool) -> Result<Vec<Outcome>> {
+async fn halves(
+    gpu: &Arc<Gpu>,
+    case: &Case,
+    wanted: impl Fn(&str) -> bool,
+) -> Result<Vec<Outcome>> {
     let precision = Precision::F16;
     // By which inputs are stored in f16, the kernels that read those so: they share a reference.
     let mut kernels: BTreeMap<Vec<bool>, Vec<&'static dyn Kernel>> = BTreeMap::new();
@@ -257,7 +272,7 @@ fn halves(gpu: &Arc<Gpu>, case: &Case, wanted: impl Fn(&str) -> bool) -> Result<
         let Some(case) = rounded(case, &stored) else { continue };
         let expected = Expected::of(&case)?;
         for kernel in kernels {
-            let report = check_kernel(gpu, &expected, &case.inputs, (kernel, precision));
+            let report = check_kernel(gpu, &expected, &case.inputs, (kernel, precision)).await;
             if let Some(report) = report.transpose() {
                 found.push(Outcome { kernel: kernel.id(), precision, report });
             }
@@ -347,21 +362,21 @@ fn rounded(case: &Case, stored: &[bool]) -> Option<Case> {
 }
 
 /// [`check`] of one kernel in one precision; `None` if that stores nothing in f16.
-fn check_kernel(
+async fn check_kernel(
     gpu: &Arc<Gpu>,
-    expected: &Expected,
+    expected: &Expected<'_>,
     inputs: &[Value],
     (kernel, precision): (&dyn Kernel, Precision),
 ) -> Result<Option<Report>> {
     let case = expected.case();
     let op = case.op.as_ref();
-    let mut single = Single::new(gpu, &case.op, inputs, (kernel.id(), precision), 1, true)?;
+    let mut single = Single::new(gpu, &case.op, inputs, (kernel.id(), precision), 1, true).await?;
     if precision.is_half() && !single.has_halves {
         return Ok(None);
     }
     // What one kind of poison hides the other shows.
-    let nan = single.run_poisoned(Poison::Nan)?;
-    let finite = single.run_poisoned(Poison::Finite)?;
+    let nan = single.run_poisoned(Poison::Nan).await?;
+    let finite = single.run_poisoned(Poison::Finite).await?;
     let case_inputs: Vec<&Value> = case.inputs.iter().collect();
     let values = (&case_inputs[..], &expected.reference[..]);
     let bounds = match case.exact {
@@ -384,20 +399,20 @@ fn check_kernel(
         }
     }
     if kernel.batched() {
-        check_batch(gpu, expected, inputs, (kernel, precision), &nan, &mut report)?;
+        check_batch(gpu, expected, inputs, (kernel, precision), &nan, &mut report).await?;
     }
     let in_quads = single.poisoned.iter().all(Option::is_none);
     if in_quads && !precision.is_half() && !case.network {
-        check_planar(gpu, expected, inputs, kernel, &nan[0], &mut report)?;
+        check_planar(gpu, expected, inputs, kernel, &nan[0], &mut report).await?;
     }
     Ok(Some(report))
 }
 
 /// The next operation reads of a map what the host reads, also where it reads it planar: the highest values of
 /// the map and their places are those of `alone`.
-fn check_planar(
+async fn check_planar(
     gpu: &Arc<Gpu>,
-    expected: &Expected,
+    expected: &Expected<'_>,
     inputs: &[Value],
     kernel: &dyn Kernel,
     alone: &Value,
@@ -405,8 +420,8 @@ fn check_planar(
 ) -> Result<()> {
     let case = expected.case();
     let how = (kernel.id(), Precision::F32);
-    let mut single = Single::then(gpu, &case.op, Some(HIGHEST), inputs, how, 1, true)?;
-    let got = single.run_poisoned(Poison::Nan)?;
+    let mut single = Single::then(gpu, &case.op, Some(HIGHEST), inputs, how, 1, true).await?;
+    let got = single.run_poisoned(Poison::Nan).await?;
     for (got, want) in got.iter().zip(HIGHEST.reference(&[alone])?) {
         let n = want.spec().shape.elements();
         let equal = Tolerance::Each(vec![0.0; n]);
@@ -421,19 +436,19 @@ fn check_planar(
 }
 
 /// A picture gives the same bits whatever else is in the batch.
-fn check_batch(
+async fn check_batch(
     gpu: &Arc<Gpu>,
-    expected: &Expected,
+    expected: &Expected<'_>,
     inputs: &[Value],
     (kernel, precision): (&dyn Kernel, Precision),
     alone: &[Value],
     report: &mut Report,
 ) -> Result<()> {
     let case = expected.case();
-    let mut single = Single::new(gpu, &case.op, inputs, (kernel.id(), precision), 2, true)?;
+    let mut single = Single::new(gpu, &case.op, inputs, (kernel.id(), precision), 2, true).await?;
     let turned: Vec<Value> = inputs.iter().map(turned).collect();
     for order in [[inputs, &turned[..]], [&turned[..], inputs]] {
-        let values = single.run_batch(&order)?;
+        let values = single.run_batch(&order).await?;
         let at = usize::from(!std::ptr::eq(order[0], inputs));
         for (i, name) in case.op.outputs().into_iter().enumerate() {
             let n = 4 * expected.defined[i];
@@ -462,7 +477,7 @@ fn turned(value: &Value) -> Value {
 /// # Errors
 /// What the operation or the device returns.
 pub fn run_op(gpu: &Arc<Gpu>, op: &Arc<dyn Op>, inputs: &[Value]) -> Result<Vec<Value>> {
-    Single::new(gpu, op, inputs, ("", Precision::F32), 1, false)?.run()
+    pollster::block_on(run_alone(gpu, op, inputs, ("", Precision::F32)))
 }
 
 /// Runs a case on the device by each kernel that fits: the kernels' names, and what they gave.
@@ -473,9 +488,18 @@ pub fn run_each(gpu: &Arc<Gpu>, case: &Case) -> Result<Vec<(&'static str, Vec<Va
     let precision = Precision::F32;
     let run = |(kernel, _): (&dyn Kernel, _)| {
         let how = (kernel.id(), precision);
-        Ok((kernel.id(), Single::new(gpu, &case.op, &case.inputs, how, 1, false)?.run()?))
+        Ok((kernel.id(), pollster::block_on(run_alone(gpu, &case.op, &case.inputs, how))?))
     };
     fitting(gpu, case, precision)?.into_iter().map(run).collect()
+}
+
+async fn run_alone(
+    gpu: &Arc<Gpu>,
+    op: &Arc<dyn Op>,
+    inputs: &[Value],
+    how: (&str, Precision),
+) -> Result<Vec<Value>> {
+    Single::new(gpu, op, inputs, how, 1, false).await?.run().await
 }
 
 /// What reads a map planar, and tells of its values.
@@ -499,7 +523,7 @@ struct Single {
 }
 
 impl Single {
-    fn new(
+    async fn new(
         gpu: &Arc<Gpu>,
         op: &Arc<dyn Op>,
         inputs: &[Value],
@@ -507,11 +531,11 @@ impl Single {
         batch: u32,
         guard: bool,
     ) -> Result<Self> {
-        Self::then(gpu, op, None, inputs, how, batch, guard)
+        Self::then(gpu, op, None, inputs, how, batch, guard).await
     }
 
     /// With `next`, which reads the first output, what that gives takes the outputs' place.
-    fn then(
+    async fn then(
         gpu: &Arc<Gpu>,
         op: &Arc<dyn Op>,
         next: Option<TopK>,
@@ -549,26 +573,24 @@ impl Single {
         let written = outputs.iter().map(|id| lowered.stored(*id)).collect();
         let poisoned = outputs.iter().map(|id| planar(&lowered, *id)).collect();
         let options = ProgramOptions { reuse: true, guard, profile: Profile::Off };
-        let slot = pollster::block_on(async {
-            let program = Program::new(gpu, &lowered, None, options).await?;
-            Slot::new(&Arc::new(program)).await
-        })?;
+        let program = Program::new(gpu, &lowered, None, options).await?;
+        let slot = Slot::new(&Arc::new(program)).await?;
         Ok(Self { slot, given, indices, outputs, names, written, has_halves, poisoned })
     }
 
-    fn run_poisoned(&mut self, poison: Poison) -> Result<Vec<Value>> {
+    async fn run_poisoned(&mut self, poison: Poison) -> Result<Vec<Value>> {
         self.slot.poison_with(poison);
-        self.run()
+        self.run().await
     }
 
-    fn run(&mut self) -> Result<Vec<Value>> {
+    async fn run(&mut self) -> Result<Vec<Value>> {
         let inputs: Vec<_> = self.given.iter().map(|(id, value)| (*id, value)).collect();
-        let mut run = self.slot.run(&inputs)?;
+        let mut run = self.slot.run_async(&inputs).await?;
         self.collect(run.first())
     }
 
     /// Runs a batch of pictures, each with inputs of its own.
-    fn run_batch(&mut self, pictures: &[&[Value]]) -> Result<Vec<Vec<Value>>> {
+    async fn run_batch(&mut self, pictures: &[&[Value]]) -> Result<Vec<Vec<Value>>> {
         let ids: Vec<TensorId> = self.given.iter().map(|(id, _)| *id).collect();
         let inputs: Vec<Vec<(TensorId, &Value)>> = pictures
             .iter()
@@ -577,9 +599,9 @@ impl Single {
             })
             .collect();
         let inputs: Vec<&[(TensorId, &Value)]> = inputs.iter().map(Vec::as_slice).collect();
-        self.slot.submit(&inputs)?;
+        self.slot.submit(&inputs).await?;
         let deadline = Deadline::after(self.slot.program().gpu().timeout());
-        let run = pollster::block_on(self.slot.receive(deadline))?;
+        let run = self.slot.receive(deadline).await?;
         run.values.into_iter().map(|values| self.collect(values)).collect()
     }
 

@@ -2,7 +2,9 @@
 //! tuned, and every stage's tensor.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
+
+use web_time::Instant;
 
 use crate::detector::input::Input;
 use crate::detector::session::Session;
@@ -36,10 +38,13 @@ pub fn stages(detector: &GpuDetector, frame: &Frame) -> Result<(Detections, Stag
     let input = detector.input(frame)?;
     let session = detector.session();
     let (mut values, detections) = match run(&session, &input, deadline) {
-        Err(e) => run(&*detector.recover(&session, e)?, &input, deadline)?,
+        Err(e) => {
+            let session = pollster::block_on(detector.recover(&session, e))?;
+            run(&session, &input, deadline)?
+        }
         found => found?,
     };
-    let compiled = detector.session().one(input.geometry.size)?;
+    let compiled = pollster::block_on(detector.session().one(input.geometry.size))?;
     let graph = &compiled.network.graph;
     let named = |id: TensorId| Some((graph.name(id).to_owned(), values.remove(&id)?));
     Ok((detections, graph.computed().into_iter().filter_map(named).collect()))
@@ -49,7 +54,8 @@ pub fn stages(detector: &GpuDetector, frame: &Frame) -> Result<(Detections, Stag
 /// every stage, cut to their valid rows.
 fn run(session: &Session, input: &Input<'_>, deadline: Deadline) -> Result<(Values, Detections)> {
     let run_in = |precision: Precision| {
-        let compiled = session.compiled(session.whole(input.geometry.size, precision))?;
+        let compiled =
+            pollster::block_on(session.compiled(session.whole(input.geometry.size, precision)))?;
         let network = &compiled.network;
         let inputs = input.inputs(network);
         let (mut values, times) = pollster::block_on(compiled.run(&inputs, deadline))?;
@@ -73,7 +79,7 @@ fn run(session: &Session, input: &Input<'_>, deadline: Deadline) -> Result<(Valu
 /// device's numbers overflow and those of the reference do not.
 pub fn compare(detector: &GpuDetector, frame: &Frame) -> Result<Comparison> {
     let mut input = detector.input(frame)?;
-    let compiled = detector.session().one(input.geometry.size)?;
+    let compiled = pollster::block_on(detector.session().one(input.geometry.size))?;
     let Some(program) = compiled.program() else {
         return Err(Error::param("compare", "device", "a GPU", "the CPU"));
     };
@@ -162,7 +168,7 @@ fn on_noise<T>(
     let pixels: Vec<u8> = (0..width as usize * height as usize).map(pixel).collect();
     let noise = Frame::new(pixels, width, height, PixelFormat::Gray8);
     let input = detector.input(&noise)?;
-    let compiled = detector.session().one(input.geometry.size)?;
+    let compiled = pollster::block_on(detector.session().one(input.geometry.size))?;
     let network = &compiled.network;
     work(&network.graph, &input.inputs(network))
 }

@@ -5,7 +5,9 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
+
+use web_time::Instant;
 
 use crate::engine::gpu::{Gpu, Profile, Program, ProgramOptions, Slot};
 use crate::engine::graph::{Graph, TensorId};

@@ -2,12 +2,14 @@
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use super::kernel::{Data, Kernel, Layout, convert};
 use super::packs::Packs;
 use super::reference::Reference;
 use super::select;
+use web_time::Instant;
+
 use crate::engine::cores::Caller;
 use crate::engine::graph::{Graph, Source, StageTime, TensorId};
 use crate::engine::lock::lock;

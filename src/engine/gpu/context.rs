@@ -8,8 +8,8 @@ use crate::engine::gpu::adapter::{caps, lacks, required_limits, wanted_features}
 use crate::engine::gpu::clock::Alarm;
 use crate::engine::gpu::deadline::Deadline;
 use crate::engine::gpu::device::{Device, GpuOptions};
+use crate::engine::gpu::loss::Loss;
 use crate::engine::gpu::pipeline::Pipelines;
-use crate::engine::gpu::poller::Loss;
 use crate::engine::kernels::Caps;
 use crate::engine::shader;
 use crate::error::{Error, Result};

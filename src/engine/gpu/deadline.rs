@@ -1,7 +1,9 @@
 //! Until when a caller waits.
 
 use std::task::Waker;
-use std::time::{Duration, Instant};
+use std::time::Duration;
+
+use web_time::Instant;
 
 use crate::engine::gpu::clock::{Alarm, Clock};
 use crate::error::Error;
@@ -34,9 +36,9 @@ impl Deadline {
 
     /// What `work` gives, and the deadline as much later as it took: what is made ready once is not a picture's
     /// own.
-    pub(crate) fn beside<T>(self, work: impl FnOnce() -> T) -> (T, Self) {
+    pub(crate) async fn beside<T>(self, work: impl Future<Output = T>) -> (T, Self) {
         let began = Instant::now();
-        let given = work();
+        let given = work.await;
         let at = self.at.and_then(|at| at.checked_add(began.elapsed()));
         (given, Self { at, ..self })
     }

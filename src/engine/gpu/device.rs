@@ -1,17 +1,19 @@
 //! The device: giving it work, hearing of its errors and of its loss.
 
 use std::future::poll_fn;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::task::Poll;
-use std::time::{Duration, Instant};
+use std::time::Duration;
+
+use web_time::Instant;
 
 use crate::engine::gpu::adapter::AdapterChoice;
 use crate::engine::gpu::clock::Clock;
 use crate::engine::gpu::deadline::Deadline;
 use crate::engine::gpu::faults::{Call, Fault, Faults};
 use crate::engine::gpu::landing::Landing;
-use crate::engine::gpu::poller::{self, Loss, Poller};
+use crate::engine::gpu::loss::Loss;
+use crate::engine::gpu::poller::{self, Poller};
 use crate::engine::lock::lock;
 use crate::error::{Error, Result};
 
@@ -123,14 +125,14 @@ impl Device {
     ///
     /// # Errors
     /// [`Error::DeviceLost`] if it is gone.
-    pub(super) fn check_alive(&self) -> Result<()> {
+    pub(super) async fn check_alive(&self) -> Result<()> {
         // It has the driver's own words, if there are any.
         {
             let _turn = self.turn();
             let _ = poller::poll(&self.handle, wgpu::PollType::Poll, &self.loss);
         }
         self.check_lost()?;
-        poller::probe(&self.handle, &self.loss);
+        self.loss.probe(&self.handle).await;
         self.check_lost()
     }
 
@@ -145,29 +147,32 @@ impl Device {
         drop(memory.pop());
     }
 
-    /// Runs `work` and returns what the driver objected to, under the name `stage`.
-    pub(super) async fn scoped<T>(
+    /// Runs `work` at once, and returns, when the future is ready, what the driver objected to, under the name
+    /// `stage`. In a browser the driver answers later; elsewhere the future is ready.
+    pub(super) fn scoped<T>(
         &self,
         stage: &str,
         work: impl FnOnce() -> Result<T>,
-    ) -> Result<T> {
+    ) -> impl Future<Output = Result<T>> {
         let memory = self.handle.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let internal = self.handle.push_error_scope(wgpu::ErrorFilter::Internal);
         let validation = self.handle.push_error_scope(wgpu::ErrorFilter::Validation);
         let result = work();
-        // All three leave the stack before the first wait: the guards are not `Send`.
+        // All three leave the stack before the first wait: it holds what other work was given by then.
         let pops = (validation.pop(), internal.pop(), memory.pop());
-        let errors = [pops.0.await, pops.1.await, pops.2.await];
-        let told = errors.into_iter().flatten().map(|e| e.to_string()).next();
-        let told = told.or_else(|| self.options.faults.as_ref()?.take());
-        if told.is_some() {
-            // What a lost device was given is no good for what follows.
-            self.check_alive()?;
-        }
-        self.check_lost()?;
-        match told {
-            Some(message) => Err(Error::Driver { stage: stage.into(), message }),
-            None => result,
+        async move {
+            let errors = [pops.0.await, pops.1.await, pops.2.await];
+            let told = errors.into_iter().flatten().map(|e| e.to_string()).next();
+            let told = told.or_else(|| self.options.faults.as_ref()?.take());
+            if told.is_some() {
+                // What a lost device was given is no good for what follows.
+                self.check_alive().await?;
+            }
+            self.check_lost()?;
+            match told {
+                Some(message) => Err(Error::Driver { stage: stage.into(), message }),
+                None => result,
+            }
         }
     }
 
@@ -178,15 +183,9 @@ impl Device {
         lock(&self.turns)
     }
 
-    /// Waits for what was submitted.
+    /// Waits for what was submitted, but in a browser, which limits by itself what waits.
     pub(super) fn wait(&self) {
-        let done = Arc::new(AtomicBool::new(false));
-        let told = done.clone();
-        {
-            let _turn = self.turn();
-            self.queue.on_submitted_work_done(move || told.store(true, Ordering::Release));
-        }
-        poller::wait(&self.handle, &self.loss, &self.turns, &done, self.options.timeout);
+        poller::wait(&self.handle, &self.queue, &self.loss, &self.turns, self.options.timeout);
     }
 
     /// Submits commands, or only what was written.
@@ -256,7 +255,7 @@ impl Device {
         drop(alarm);
         // A lost device refuses the map, or never answers.
         if !matches!(told, Some(Ok(()))) {
-            self.check_alive()?;
+            self.check_alive().await?;
         }
         match told {
             Some(Ok(())) => Ok(()),
@@ -290,7 +289,7 @@ impl Drop for Device {
 mod tests {
     use super::*;
     use crate::engine::gpu::Gpu;
-    use std::sync::atomic::AtomicUsize;
+    use std::sync::atomic::{AtomicUsize, Ordering};
     use std::task::{Context, Wake, Waker};
 
     #[derive(Default)]

@@ -2,7 +2,8 @@
 
 use std::sync::{Arc, Mutex};
 use std::task::{Poll, Waker};
-use std::time::Instant;
+
+use web_time::Instant;
 
 use crate::engine::lock::lock;
 

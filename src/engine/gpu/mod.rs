@@ -8,7 +8,9 @@
 //! |---|---|
 //! | `adapter` | which adapters there are, what they give, and which is taken |
 //! | `faults`, `clock`, `deadline`, `landing` | calls that fail in tests; when and what waiting futures hear |
-//! | `poller` | waits for a device in a thread, and hears of its loss |
+//! | `poller` | waits for a device in a thread |
+//! | `browser` | `poller` and `clock` in a browser, which waits for a device by itself |
+//! | `loss` | whether a device is gone, and why |
 //! | `device` | the open device: its queue, turns, error scopes |
 //! | `memory` | buffers and textures, and how bytes come to lie there |
 //! | `pipeline` | shaders compiled, each once a device |
@@ -20,18 +22,26 @@
 
 mod adapter;
 mod arena;
+#[cfg(target_family = "wasm")]
+mod browser;
+#[cfg(not(target_family = "wasm"))]
 mod clock;
 mod context;
 mod deadline;
 mod device;
 mod faults;
 mod landing;
+mod loss;
 mod memory;
 mod pipeline;
 mod poison;
+#[cfg(not(target_family = "wasm"))]
 mod poller;
 mod program;
 mod slot;
+
+#[cfg(target_family = "wasm")]
+use browser::{clock, poller};
 
 pub use adapter::{AdapterChoice, AdapterReport, adapters};
 pub(crate) use arena::Arena;

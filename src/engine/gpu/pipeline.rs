@@ -19,6 +19,11 @@ const WARM_BYTES: u64 = 16 << 10;
 /// Shader, how it is read, and entry point.
 type PipelineKey = (&'static str, Variant, &'static str);
 
+/// What compiles a dispatch's pipeline.
+fn key(dispatch: &Dispatch) -> PipelineKey {
+    (dispatch.shader.stem, dispatch.variant.clone(), dispatch.entry)
+}
+
 /// A shader entry point, compiled, with its bindings by name.
 #[derive(Debug)]
 pub(super) struct Pipeline {
@@ -85,73 +90,79 @@ impl Pipelines {
 
     /// Compiles what the dispatches of `recording` need and is not compiled yet, on all cores, while
     /// this thread does `meanwhile`.
-    pub fn compile<T>(
+    pub async fn compile<T>(
         &self,
         device: &Device,
         recording: &Recording,
-        meanwhile: impl FnOnce() -> Result<T>,
+        meanwhile: impl FnOnce() -> T,
     ) -> Result<T> {
         let mut wanted: HashMap<PipelineKey, &Dispatch> = HashMap::new();
         for command in recording.commands() {
             if let Command::Dispatch(dispatch) = command {
-                let key = (dispatch.shader.stem, dispatch.variant.clone(), dispatch.entry);
-                wanted.entry(key).or_insert(dispatch);
+                wanted.entry(key(dispatch)).or_insert(dispatch);
             }
         }
-        let known = lock(&self.compiled);
-        wanted.retain(|key, _| !known.contains_key(key));
-        drop(known);
+        {
+            let known = lock(&self.compiled);
+            wanted.retain(|key, _| !known.contains_key(key));
+        }
         // Several entries of a module next to each other wait for it together.
         let mut wanted: Vec<_> = wanted.into_iter().collect();
         wanted.sort_by(|a, b| (a.0.2, &a.0).cmp(&(b.0.2, &b.0)));
         let next = AtomicUsize::new(0);
-        let compile = || -> Result<()> {
+        let compile = || async {
             while let Some((_, dispatch)) = wanted.get(next.fetch_add(1, Ordering::Relaxed)) {
-                let pipeline = self.pipeline(device, dispatch)?;
+                let pipeline = self.pipeline(device, dispatch).await?;
                 if device.info.device_type == wgpu::DeviceType::Cpu {
                     warm(device, &pipeline, &dispatch.params);
                 }
             }
             Ok(())
         };
-        std::thread::scope(|scope| {
+        let given = std::thread::scope(|scope| {
             let cores = std::thread::available_parallelism().map_or(1, usize::from);
             let threads = cores.min(wanted.len());
-            let spawn = |_| std::thread::Builder::new().spawn_scoped(scope, compile).ok();
+            let work = || pollster::block_on(compile());
+            let spawn = |_| std::thread::Builder::new().spawn_scoped(scope, work).ok();
             let threads: Vec<_> = (0..threads).map_while(spawn).collect();
-            let result = meanwhile();
-            if threads.is_empty() {
-                compile()?;
-            }
+            let given = meanwhile();
             for thread in threads {
                 match thread.join() {
                     Ok(compiled) => compiled?,
                     Err(panic) => std::panic::resume_unwind(panic),
                 }
             }
-            result
-        })
+            Ok(given)
+        })?;
+        // What is left where no thread can be had, as in a browser.
+        compile().await?;
+        Ok(given)
     }
 
-    /// The pipeline for a dispatch, compiled on first use.
-    pub fn pipeline(&self, device: &Device, dispatch: &Dispatch) -> Result<Arc<Pipeline>> {
+    /// The pipeline for a dispatch, which is compiled already.
+    pub fn compiled(&self, dispatch: &Dispatch) -> Result<Arc<Pipeline>> {
+        let missing = || Error::Shader {
+            file: format!("{}.wgsl", dispatch.shader.stem),
+            line: 0,
+            message: format!("expected `{}` compiled, got nothing", dispatch.entry),
+        };
+        lock(&self.compiled).get(&key(dispatch)).cloned().ok_or_else(missing)
+    }
+
+    /// Compiles the pipeline for a dispatch.
+    async fn pipeline(&self, device: &Device, dispatch: &Dispatch) -> Result<Arc<Pipeline>> {
         let shader = dispatch.shader;
-        let key = (shader.stem, dispatch.variant.clone(), dispatch.entry);
-        let known = |key: &PipelineKey| lock(&self.compiled).get(key).cloned();
-        if let Some(pipeline) = known(&key) {
-            return Ok(pipeline);
-        }
         let label = format!("{}::{} {}", shader.stem, dispatch.entry, dispatch.variant);
         let label = label.trim_end();
         // What the driver objects to is told to the thread that asked, and kept for nobody.
         let build = || self.build(device, dispatch, label);
-        let built = pollster::block_on(device.scoped(&format!("compiling {label}"), build));
+        let built = device.scoped(&format!("compiling {label}"), build).await;
         let pipeline = built.inspect_err(|_| {
             let key = (shader.stem, dispatch.variant.clone());
             lock(&self.modules).remove(&key);
         })?;
         let mut pipelines = lock(&self.compiled);
-        Ok(pipelines.entry(key).or_insert(Arc::new(pipeline)).clone())
+        Ok(pipelines.entry(key(dispatch)).or_insert(Arc::new(pipeline)).clone())
     }
 
     fn build(&self, device: &Device, dispatch: &Dispatch, label: &str) -> Result<Pipeline> {

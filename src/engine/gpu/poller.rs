@@ -1,4 +1,4 @@
-//! Waits for a device in a thread, and hears of its loss: what a browser does by itself.
+//! Waits for a device in a thread: what a browser does by itself.
 //!
 //! A future that waits for the device is woken by the [`Poller`] when the device is done.
 
@@ -9,23 +9,9 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use crate::engine::gpu::landing::Landing;
+use crate::engine::gpu::loss::Loss;
 use crate::engine::lock::lock;
 use crate::error::{Error, Result};
-
-/// Why a device is gone, once it is. Clones are one and the same.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Loss(Arc<Mutex<Option<String>>>);
-
-impl Loss {
-    /// The first to say so is believed.
-    pub fn tell(&self, message: String) {
-        lock(&self.0).get_or_insert(message);
-    }
-
-    pub fn get(&self) -> Option<String> {
-        lock(&self.0).clone()
-    }
-}
 
 /// Polls a device. `wgpu` ends the thread where the driver says that the device is lost; wgpu-core 30 also
 /// where a wait runs out just as another thread sees the queue empty, so a poll is tried twice.
@@ -44,42 +30,26 @@ pub(super) fn poll(
     }
 }
 
-/// Waits until `done`, the loss of the device or `limit`, and polls now and then, each time in a turn of its
-/// own among `turns`, which `Device::turn` explains.
+/// Waits until what was submitted is done, the device is lost or `limit` is over, and polls now and then, each
+/// time in a turn of its own among `turns`, which `Device::turn` explains.
 pub(super) fn wait(
     device: &wgpu::Device,
+    queue: &wgpu::Queue,
     loss: &Loss,
     turns: &Mutex<()>,
-    done: &AtomicBool,
     limit: Duration,
 ) {
     let start = Instant::now();
+    let done = Arc::new(AtomicBool::new(false));
+    let told = done.clone();
+    {
+        let _turn = lock(turns);
+        queue.on_submitted_work_done(move || told.store(true, Ordering::Release));
+    }
     while !done.load(Ordering::Acquire) && loss.get().is_none() && start.elapsed() < limit {
         std::thread::sleep(SHORT_PAUSE);
         let _turn = lock(turns);
         let _ = poll(device, wgpu::PollType::Poll, loss);
-    }
-}
-
-/// Probes whether a device still is, and tells `loss` if not. It reports its loss when all work is done that
-/// it had, to a handler that may be another's, and until then takes every call and does nothing: so this
-/// makes a buffer and sees whether there is one.
-pub(super) fn probe(device: &wgpu::Device, loss: &Loss) {
-    let memory = device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
-    let validation = device.push_error_scope(wgpu::ErrorFilter::Validation);
-    let buffer = device.create_buffer(&wgpu::BufferDescriptor {
-        label: None,
-        size: 4,
-        usage: wgpu::BufferUsages::MAP_WRITE | wgpu::BufferUsages::COPY_SRC,
-        mapped_at_creation: true,
-    });
-    let is_there = buffer.slice(..).get_mapped_range().is_ok();
-    let is_full = pollster::block_on({
-        drop(validation.pop());
-        memory.pop()
-    });
-    if !is_there && is_full.is_none() {
-        loss.tell("it takes no more calls".into());
     }
 }
 
@@ -116,7 +86,7 @@ impl Poller {
                     pause = LONG_PAUSE.min(2 * pause);
                     let _ = poll(&device, wgpu::PollType::Poll, &loss);
                     if pause == LONG_PAUSE {
-                        probe(&device, &loss);
+                        pollster::block_on(loss.probe(&device));
                     }
                 }
             }

@@ -166,22 +166,28 @@ impl Program {
         like: Option<&Program>,
         options: ProgramOptions,
     ) -> Result<Self> {
-        let build = || Self::build(gpu, lowered, like, options);
-        let program = gpu.device.scoped("building the program", build).await?;
+        let recording = &lowered.recording;
+        check_sizes(recording, &gpu.device.handle.limits())?;
+        let put = || {
+            let put = || Self::put(gpu, lowered, like, options);
+            gpu.device.scoped("building the program", put)
+        };
+        let put = gpu.pipelines.compile(&gpu.device, recording, put).await?;
+        let mut program = put.await?;
+        program.add_steps(recording)?;
         // A lost device objects to nothing.
-        gpu.device.check_alive()?;
+        gpu.device.check_alive().await?;
         Ok(program)
     }
 
-    fn build(
+    /// A program that has its constants on the device, and no steps.
+    fn put(
         gpu: &Arc<Gpu>,
         lowered: &Lowered,
         like: Option<&Program>,
         options: ProgramOptions,
     ) -> Result<Self> {
         let recording = &lowered.recording;
-        let limits = gpu.device.handle.limits();
-        check_sizes(recording, &limits)?;
         let assignment = lifetimes::assign(recording, options.reuse && !options.guard);
         let mut program = Self {
             gpu: gpu.clone(),
@@ -202,31 +208,36 @@ impl Program {
             stored: lowered.places.keys().map(|id| (*id, lowered.stored(*id))).collect(),
             shared: HashMap::new(),
         };
-        gpu.pipelines
-            .compile(&gpu.device, recording, || program.put(recording, &assignment, like))?;
+        program.place_all(recording, &assignment, like)?;
         // The weights are on the device: nobody needs how to make them any more.
         for info in &mut program.tensors {
             if let Role::Constant(_) = info.role {
                 info.role = Role::Transient;
             }
         }
-        let mut offset = 0;
-        for command in recording.commands() {
-            program.add_step(command, &mut offset)?;
-        }
-        program.add_outputs(recording);
-        if program.staging_bytes > limits.max_buffer_size {
-            return Err(Error::Capacity {
-                what: "bytes read back in one run; keep fewer tensors or a smaller input".into(),
-                needed: program.staging_bytes,
-                available: limits.max_buffer_size,
-            });
-        }
         Ok(program)
     }
 
+    /// Adds the commands, whose pipelines are compiled, and what a run gives back.
+    fn add_steps(&mut self, recording: &Recording) -> Result<()> {
+        let mut offset = 0;
+        for command in recording.commands() {
+            self.add_step(command, &mut offset)?;
+        }
+        self.add_outputs(recording);
+        let available = self.gpu.device.handle.limits().max_buffer_size;
+        if self.staging_bytes > available {
+            return Err(Error::Capacity {
+                what: "bytes read back in one run; keep fewer tensors or a smaller input".into(),
+                needed: self.staging_bytes,
+                available,
+            });
+        }
+        Ok(())
+    }
+
     /// Gives each tensor its place, and puts the constants on the device.
-    fn put(
+    fn place_all(
         &mut self,
         recording: &Recording,
         assignment: &lifetimes::Assignment,
@@ -313,7 +324,7 @@ impl Program {
                 return Ok(());
             }
         };
-        let pipeline = self.gpu.pipelines.pipeline(&self.gpu.device, dispatch)?;
+        let pipeline = self.gpu.pipelines.compiled(dispatch)?;
         let mut bound = Vec::new();
         let mut uniform = None;
         let (params, bytes) = (*offset, dispatch.params.len() as u64);

@@ -3,7 +3,9 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::task::Waker;
-use std::time::{Duration, Instant};
+use std::time::Duration;
+
+use web_time::Instant;
 
 use crate::engine::gpu::arena::Arena;
 use crate::engine::gpu::context::Gpu;
@@ -94,7 +96,7 @@ impl Slot {
         let slot = gpu.device.scoped("allocating memory for a picture", build).await;
         let slot = slot.inspect_err(|_| arena.clear())?;
         // A lost device objects to nothing.
-        gpu.device.check_alive()?;
+        gpu.device.check_alive().await?;
         Ok(slot)
     }
 
@@ -178,12 +180,18 @@ impl Slot {
     /// # Errors
     /// As both.
     pub fn run(&mut self, inputs: &Inputs) -> Result<RunOutput> {
+        pollster::block_on(self.run_async(inputs))
+    }
+
+    /// [`Slot::run`] for callers with an executor of their own.
+    ///
+    /// # Errors
+    /// As [`Slot::run`].
+    pub async fn run_async(&mut self, inputs: &Inputs<'_>) -> Result<RunOutput> {
         let deadline = Deadline::after(self.program.gpu.timeout());
-        pollster::block_on(async {
-            self.recover(deadline).await?;
-            self.submit(&[inputs])?;
-            self.receive(deadline).await
-        })
+        self.recover(deadline).await?;
+        self.submit(&[inputs]).await?;
+        self.receive(deadline).await
     }
 
     /// Whether no run is under way.
@@ -222,7 +230,7 @@ impl Slot {
     /// # Errors
     /// [`Error::Tensor`] if an input is missing, unknown or of another shape, or if a run is under way;
     /// [`Error::DeviceLost`] or [`Error::Driver`] from the device.
-    pub fn submit(&mut self, pictures: &[&Inputs]) -> Result<()> {
+    pub async fn submit(&mut self, pictures: &[&Inputs<'_>]) -> Result<()> {
         let start = Instant::now();
         let program = self.program.clone();
         let gpu = &program.gpu;
@@ -237,7 +245,7 @@ impl Slot {
         for inputs in pictures {
             self.check(inputs)?;
         }
-        let landing = pollster::block_on(gpu.device.scoped("running the network", || {
+        let submitted = gpu.device.scoped("running the network", || {
             self.settle();
             self.fill();
             for (picture, inputs) in (0..program.batch).zip(pictures.iter().cycle()) {
@@ -249,15 +257,17 @@ impl Slot {
             let bytes = self.staging_bytes;
             let staging = self.staging.get_or_insert_with(|| staging(gpu, bytes)).clone();
             let submission = gpu.device.submit(Some(self.encode(&staging)));
-            Ok(gpu.device.land(&staging, bytes, submission, start))
-        }));
-        self.in_flight = Some(landing.inspect_err(|_| self.forget())?);
-        Ok(())
+            // From here on, also for who gives this future up before the device says whether it objects.
+            self.in_flight = Some(gpu.device.land(&staging, bytes, submission, start));
+            Ok(())
+        });
+        submitted.await.inspect_err(|_| self.forget())
     }
 
     /// After a submit that failed: what was made for it may be as invalid as what the driver objected
     /// to, and a map that is still pending would make every later submit fail.
     fn forget(&mut self) {
+        self.in_flight = None;
         self.arena.clear();
         self.groups.fill(None);
         self.given.clear();
@@ -582,7 +592,7 @@ impl Slot {
             Err(Error::Driver { .. }) => {
                 self.give_staging_up();
                 // A device may be lost after the map.
-                gpu.device.check_alive()?;
+                gpu.device.check_alive().await?;
             }
             _ => self.unmap(),
         }

@@ -15,6 +15,8 @@ def main() -> int:
     with until_interrupted():
         node = Node("print_detections")
         node.create_subscription(Detection2DArray, "detections", _print, 10)
+        # Wakes the executor, which may sleep through an interrupt that comes between two waits.
+        node.create_timer(1.0, lambda: None)
         rclpy.spin(node)
     return 0
 

@@ -5,7 +5,6 @@ from contextlib import contextmanager
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
-from rclpy.impl.implementation_singleton import rclpy_implementation
 
 
 @contextmanager
@@ -13,10 +12,11 @@ def until_interrupted() -> Iterator[None]:
     """ROS is there within; an interrupt ends it, and is no error."""
     try:
         with rclpy.init():
-            yield
+            try:
+                yield
+            except RuntimeError:
+                # What was under way, such as taking an image or publishing, found that ROS is gone.
+                if rclpy.ok():
+                    raise
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except rclpy_implementation.RCLError:
-        # What was under way, such as publishing, finds that ROS is gone.
-        if rclpy.ok():
-            raise

@@ -12,8 +12,6 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
-from rclpy.executors import ExternalShutdownException
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -23,10 +21,9 @@ from sensor_msgs.msg import CompressedImage, Image
 from vision_msgs.msg import Detection2DArray
 
 from smr_gpu_ros import messages, parameters, pictures
+from smr_gpu_ros.running import until_interrupted
 from smr_gpu_ros.status import Status
 from smr_gpu_ros.worker import Worker
-
-RCLError = rclpy_implementation.RCLError
 
 # Seconds between two lines about images without an answer.
 _THROTTLE_S = 5.0
@@ -198,18 +195,12 @@ class SnapNode(Node):
 def main() -> int:
     """Runs the node until it is interrupted."""
     try:
-        with rclpy.init():
+        with until_interrupted():
             node = SnapNode()
             try:
                 rclpy.spin(node)
             finally:
                 node.destroy_node()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        return 0
-    except RCLError:
-        # A callback that was under way when the node was interrupted could not publish.
-        if rclpy.ok():
-            raise
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
         print(f"smr_gpu_node: {error}", file=sys.stderr)
         return 2

@@ -3,22 +3,21 @@
 import math
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from vision_msgs.msg import Detection2DArray
 
 from smr_gpu_ros.messages import UNKNOWN
+from smr_gpu_ros.running import until_interrupted
 
 
 def main() -> int:
     """Prints detections until interrupted."""
-    try:
-        with rclpy.init():
-            node = Node("print_detections")
-            node.create_subscription(Detection2DArray, "detections", _print, 10)
-            rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+    with until_interrupted():
+        node = Node("print_detections")
+        node.create_subscription(Detection2DArray, "detections", _print, 10)
+        # Wakes the executor, which may sleep through an interrupt that comes between two waits.
+        node.create_timer(1.0, lambda: None)
+        rclpy.spin(node)
     return 0
 
 

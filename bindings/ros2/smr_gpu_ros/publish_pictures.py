@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from PIL import Image as Pillow
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import CompressedImage, Image
+
+from smr_gpu_ros.running import until_interrupted
 
 
 def main() -> int:
@@ -25,11 +26,8 @@ def main() -> int:
     arguments = parser.parse_args(remove_ros_args()[1:])
     read = _compressed if arguments.compressed else _raw
     images = [read(file) for file in arguments.files]
-    try:
-        with rclpy.init():
-            _publish(images, arguments)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+    with until_interrupted():
+        _publish(images, arguments)
     return 0
 
 
@@ -40,7 +38,7 @@ def _publish(images: list[Image] | list[CompressedImage], arguments: argparse.Na
     while publisher.get_subscription_count() == 0:
         node.get_logger().info(f"waits for a subscriber of {publisher.topic_name}", once=True)
         rclpy.spin_once(node, timeout_sec=0.1)
-    rate = node.create_timer(1 / arguments.rate, lambda: send(), autostart=True)
+    rate = node.create_timer(1 / arguments.rate, lambda: send())
     sent = 0
 
     def send() -> None:

@@ -107,6 +107,9 @@ def test_a_drawn_image_only_while_somebody_looks(start, peer, mixed, detector):
     np.testing.assert_array_equal(np.frombuffer(drawn.data, np.uint8).reshape(1000, 1000, 3), want)
     peer.destroy_subscription(looker)
     peer.until(lambda: peer.count_subscribers("drawn") == 0, "the looker's end")
+    # Behind this answer nothing is drawn any more that was asked for before.
+    peer.detections.clear()
+    peer.answer(message)
     before = peer.report()[2]["drawn"]
     peer.detections.clear()
     peer.answer(message)

@@ -51,8 +51,13 @@ struct Found {
     std_deg: Option<f64>,
 }
 
-/// The steps of a press, from shallow to deep; `None` where its snap was not found.
-type Press = Vec<Option<Found>>;
+/// A press, from shallow to deep.
+#[derive(Default)]
+struct Press {
+    depths_mm: Vec<f64>,
+    /// `None` where its snap was not found.
+    steps: Vec<Option<Found>>,
+}
 
 fn main() -> Result<(), Box<dyn Error>> {
     let args = Args::parse();
@@ -84,7 +89,7 @@ fn presses(
     detector: &GpuDetector,
     folder: &Path,
     limit: usize,
-) -> Result<Vec<(Vec<f64>, Press)>, Box<dyn Error>> {
+) -> Result<Vec<Press>, Box<dyn Error>> {
     let sets = depths(folder)?;
     let mut data: Vec<(f64, &Path, Dataset)> = Vec::new();
     for (depth, path) in &sets {
@@ -99,11 +104,11 @@ fn presses(
         let mm = f64::from(deepest.pictures[i].mm_per_pixel.unwrap_or(1.0));
         let middle = |label: &coco::Label| center(label.truth.bbox).map(|x| x * mm);
         let snaps = &deepest.pictures[i].labels;
-        let mut of_snaps: Vec<_> = snaps.iter().map(|_| (Vec::new(), Vec::new())).collect();
+        let mut of_snaps: Vec<Press> = snaps.iter().map(|_| Press::default()).collect();
         for (depth, path, set) in &data {
             let labelled = &set.pictures[i];
             let decoded = picture::read(labelled.find_in(path))?;
-            let found = detector.detect(&labelled.state(Frame::from(&decoded)))?;
+            let found = detector.detect(labelled.state(Frame::from(&decoded)))?;
             let seen = Seen::new(labelled, &found);
             for (label, (_, right)) in labelled.labels.iter().zip(seen.best(SCORE)) {
                 let [x, y] = middle(label);
@@ -115,9 +120,9 @@ fn presses(
                     .min_by(|a, b| from(&snaps[*a]).total_cmp(&from(&snaps[*b])))
                     .filter(|nearest| from(&snaps[*nearest]) < SAME_MM);
                 let Some(nearest) = nearest else { continue };
-                let (at, press): &mut (Vec<f64>, Press) = &mut of_snaps[nearest];
-                at.push(*depth);
-                press.push(right.map(|right| Found {
+                let press = &mut of_snaps[nearest];
+                press.depths_mm.push(*depth);
+                press.steps.push(right.map(|right| Found {
                     off_deg: right.off_deg,
                     std_deg: right.found.yaw_std_deg,
                 }));
@@ -129,15 +134,15 @@ fn presses(
     Ok(presses)
 }
 
-fn print(name: &str, presses: &[(Vec<f64>, Press)]) {
+fn print(name: &str, presses: &[Press]) {
     let (mut first, mut later, mut stayed, mut wrong, mut unknown) = (Vec::new(), 0, 0, 0, 0);
-    for (depths, press) in presses {
-        if let Some(start) = press.iter().position(Option::is_some) {
-            first.push(depths[start]);
-            later += press.len() - start - 1;
-            stayed += press[start + 1..].iter().flatten().count();
+    for Press { depths_mm, steps } in presses {
+        if let Some(start) = steps.iter().position(Option::is_some) {
+            first.push(depths_mm[start]);
+            later += steps.len() - start - 1;
+            stayed += steps[start + 1..].iter().flatten().count();
         }
-        for found in press.iter().flatten() {
+        for found in steps.iter().flatten() {
             if found.off_deg.is_some_and(|off| off.abs() > WRONG_DEG) {
                 wrong += 1;
                 unknown += usize::from(found.std_deg.is_none_or(|std| std >= UNKNOWN_DEG));

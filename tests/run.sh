@@ -94,6 +94,14 @@ crates() {
     [ "$found" -le "$most_crates" ]
 }
 
+# The other workspaces' locks name what this crate depends on, too.
+locks() {
+    local folder
+    for folder in bindings/python bindings/c fuzz; do
+        (cd "$folder" && cargo metadata --locked --format-version 1 >/dev/null)
+    done
+}
+
 # What crates.io takes, in bytes.
 most_packed=10000000
 package() {
@@ -143,6 +151,7 @@ step released cargo test --locked --release "${released[@]}" --no-run
 step clippy cargo clippy --locked --release --all-targets -- -D warnings
 step features features
 step crates crates
+step locks locks
 step package package
 RUSTDOCFLAGS="-D warnings" step docs cargo doc --locked --release --no-deps
 if command -v cargo-deny >/dev/null; then

@@ -8,9 +8,9 @@
 //! |---|---|
 //! | `adapter` | which adapters there are, what they give, and which is taken |
 //! | `faults`, `clock`, `deadline`, `landing` | calls that fail in tests; when and what waiting futures hear |
+//! | `loss` | whether a device is gone, and why |
 //! | `poller` | waits for a device in a thread |
 //! | `browser` | `poller` and `clock` in a browser, which waits for a device by itself |
-//! | `loss` | whether a device is gone, and why |
 //! | `device` | the open device: its queue, turns, error scopes |
 //! | `memory` | buffers and textures, and how bytes come to lie there |
 //! | `pipeline` | shaders compiled, each once a device |

@@ -126,8 +126,10 @@ fn missing_weights_are_named_with_every_place() {
         let arguments = ["detect", "x.png", "--weights", weights];
         let missing = user.run(&arguments).expect(3);
         let beside = ["a/b/bin", "a/b", "a"].map(|f| user.at(f).join("weights").join(file));
-        let places = [&[user.data().join(file)], &beside[..], &[Path::new("weights").join(file)]];
-        let places: Vec<_> = places.concat().iter().map(|p| text(p).to_owned()).collect();
+        let share = user.at("a/b/share/smr-gpu/weights").join(file);
+        let last = [share, Path::new("weights").join(file)];
+        let places = [&[user.data().join(file)], &beside[..], &last].concat();
+        let places: Vec<_> = places.iter().map(|p| text(p).to_owned()).collect();
         missing.tells(&format!(
             "weights: expected `{weights}` in one of {}; got none; `smr-gpu weights add FILE --name \
              {weights}` adds it\n",
@@ -135,7 +137,7 @@ fn missing_weights_are_named_with_every_place() {
         ));
         let bare = ran(user.command(&arguments).env_clear());
         if weights == "no-such" {
-            bare.expect(3).tells(&places[1]).tells(&places[4]);
+            bare.expect(3).tells(&places[1]).tells(&places[5]);
         }
         // The variable asks, too.
         let variable = ran(user.command(&arguments[..2]).env("SMR_GPU_WEIGHTS", weights));

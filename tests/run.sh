@@ -96,9 +96,9 @@ crates() {
 
 # The other workspaces' locks name what this crate depends on, too.
 locks() {
-    local folder
-    for folder in bindings/python bindings/c fuzz; do
-        (cd "$folder" && cargo metadata --locked --format-version 1 >/dev/null)
+    local lock
+    for lock in bindings/*/Cargo.lock fuzz/Cargo.lock; do
+        cargo metadata --locked --format-version 1 --manifest-path "${lock%lock}toml" >/dev/null
     done
 }
 

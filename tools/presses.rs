@@ -7,10 +7,11 @@
 //! ```
 //!
 //! A folder holds a simulated set a depth, `0.05` to `1.50`, all of one seed, so that the same picture of
-//! each shows the same snaps, and what is nearest to a snap of the deepest is that snap. Prints a Markdown table, a row a folder: the presses; at how many millimetres a snap is first found (a box of its
-//! class above a score of 0.5 that overlaps by at least half), the median; the share of the steps after that
-//! in which it is found; the directions that are more than 30° off, and the share of them that the network
-//! gives no direction to, or a standard deviation of 60° or more.
+//! each shows the same snaps, and what is nearest to a snap of the deepest is that snap. Prints a Markdown
+//! table, a row a folder: the presses; at how many millimetres a snap is first found (a box of its class above
+//! a score of 0.5 that overlaps by at least half), the median; the share of the steps after that in which it is
+//! found; the directions that are more than 30° off, and the share of them that the network gives no direction
+//! to, or a standard deviation of 60° or more.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};

@@ -13,9 +13,9 @@
 //! both medians, the shift's 95th percentile too; then shares of the pictures without contact, of those of
 //! which parts were looked at, of those whose deepest scale was left out, and of those that were looked at
 //! again. A second table has how much higher the boxes of those pictures score that were looked at in parts,
-//! the mean over the boxes above 0.05 that the whole network has too, by whether they are right. A third has the time of each way by what pictures show: each folder, those with one snap or
-//! several, and those with one snap of which parts, or one part, were looked at; a fourth the stages of the
-//! last. Then the snaps that each way loses.
+//! the mean over the boxes above 0.05 that the whole network has too, by whether they are right. A third has
+//! the time of each way by what pictures show: each folder, those with one snap or several, and those with one
+//! snap of which parts, or one part, were looked at; a fourth the stages of the last. Then the snaps that each way loses.
 
 use std::collections::BTreeMap;
 use std::error::Error;

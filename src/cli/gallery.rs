@@ -1,6 +1,5 @@
 //! Folders of outputs: a file for each frame, or for each snap of it.
 
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
@@ -9,14 +8,9 @@ use smr_gpu::files::{self, Outputs};
 use super::draw::png;
 use super::exit::{Exit, Failure};
 
-/// Most names whose numbers are remembered. A stream's names hold its frames' numbers, and need none.
-const MOST_NAMES: usize = 1 << 16;
-
 /// A folder of outputs that have their sources' names.
 pub(super) struct Gallery {
     folder: PathBuf,
-    /// How often a name was asked for.
-    numbers: HashMap<String, u32>,
 }
 
 impl Gallery {
@@ -32,7 +26,7 @@ impl Gallery {
             };
             Failure::new(Exit::Output, format!("{}: {e}", folder.display()))
         })?;
-        Ok(Self { folder: folder.into(), numbers: HashMap::new() })
+        Ok(Self { folder: folder.into() })
     }
 
     /// Writes a picture under this name as PNG, with a number where that name is taken.
@@ -40,7 +34,7 @@ impl Gallery {
     /// # Errors
     /// [`Exit::Output`].
     pub fn save(
-        &mut self,
+        &self,
         outputs: &mut Outputs,
         stem: &str,
         picture: &RgbImage,
@@ -53,25 +47,22 @@ impl Gallery {
     ///
     /// # Errors
     /// [`Exit::Output`].
-    pub fn write(&mut self, outputs: &mut Outputs, stem: &str, text: &str) -> Result<(), Failure> {
+    pub fn write(&self, outputs: &mut Outputs, stem: &str, text: &str) -> Result<(), Failure> {
         let path = self.free_name(outputs, stem, "txt")?;
         Ok(outputs.write(&path, text.as_bytes())?)
     }
 
     /// A name for a file that may be written: an earlier run's is replaced.
     fn free_name(
-        &mut self,
+        &self,
         outputs: &Outputs,
         stem: &str,
         ending: &str,
     ) -> Result<PathBuf, files::Error> {
-        if self.numbers.len() >= MOST_NAMES {
-            self.numbers.clear();
-        }
-        let number = self.numbers.entry(stem.to_owned()).or_default();
+        let mut number = 0;
         loop {
-            *number += 1;
-            let name = match *number {
+            number += 1;
+            let name = match number {
                 1 => format!("{stem}.{ending}"),
                 n => format!("{stem}-{n}.{ending}"),
             };
@@ -94,7 +85,7 @@ mod tests {
         let original = folder.path().join("x.png");
         std::fs::write(&original, "mine").expect("written");
         let mut outputs = Outputs::sparing([&original]);
-        let mut gallery = Gallery::create(folder.path()).expect("created");
+        let gallery = Gallery::create(folder.path()).expect("created");
         for _ in 0..2 {
             gallery.save(&mut outputs, "x", &RgbImage::new(1, 1)).expect("saved");
         }

@@ -1,6 +1,5 @@
 //! `smr-gpu merge`: makes one run's list of what the shards of `detect` wrote.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
@@ -9,7 +8,7 @@ use smr_gpu::files;
 
 use super::detect::lists::{COCO, CSV, Frame};
 use super::exit::{Exit, Failure};
-use super::output::to_stdout;
+use super::output::text_out;
 
 /// Longest file that is read, in bytes.
 const MAX_BYTES: u64 = 1 << 32;
@@ -137,9 +136,6 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     }
     let [before, between, behind] = kind.map_or(Format::Json, |(format, _)| format).frame();
     let texts: Vec<&str> = all.iter().map(|(entry, _)| &entry.text[..]).collect();
-    to_stdout(|| {
-        let mut stdout = std::io::stdout().lock();
-        write!(stdout, "{before}{}{behind}", texts.join(between))
-    })?;
+    text_out(format!("{before}{}{behind}", texts.join(between)).as_bytes())?;
     Ok(Exit::Done)
 }

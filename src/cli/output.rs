@@ -24,13 +24,17 @@ pub(super) fn folder_name(path: &Path) -> String {
 /// [`Exit::Output`] if it cannot be written, also if stdout was closed from the start; a reader
 /// that went away, as `head` does, ends the program quietly with [`Exit::Pipe`].
 pub(super) fn line(text: impl Display) -> Result<(), Failure> {
-    raw_line(printable(text))
+    text_out(format!("{}\n", printable(text)).as_bytes())
 }
 
-fn raw_line(text: String) -> Result<(), Failure> {
+/// Writes a text to stdout as it is.
+///
+/// # Errors
+/// As [`line`].
+pub(super) fn text_out(text: &[u8]) -> Result<(), Failure> {
     to_stdout(|| {
         let mut stdout = std::io::stdout().lock();
-        writeln!(stdout, "{text}").and_then(|()| stdout.flush())
+        stdout.write_all(text).and_then(|()| stdout.flush())
     })
 }
 
@@ -80,5 +84,5 @@ pub(super) fn count(n: usize, noun: &str) -> String {
 pub(super) fn json_line(value: &impl Serialize) -> Result<(), Failure> {
     let text = serde_json::to_string(value)
         .map_err(|e| Failure::new(Exit::Output, format!("stdout: {e}")))?;
-    raw_line(text)
+    text_out(format!("{text}\n").as_bytes())
 }

@@ -7,7 +7,7 @@ use clap_complete::Shell;
 use clap_markdown::MarkdownOptions;
 
 use super::exit::{Exit, Failure};
-use super::output::to_stdout;
+use super::output::text_out;
 
 /// Write completions for a shell, man pages, or the reference of all options
 #[derive(Debug, clap::Args)]
@@ -30,13 +30,13 @@ pub(super) fn run(args: Args, mut program: Command) -> Result<Exit, Failure> {
     if let Some(shell) = args.completions {
         let mut text = Vec::new();
         clap_complete::generate(shell, &mut program, "smr-gpu", &mut text);
-        to_stdout(|| std::io::Write::write_all(&mut std::io::stdout(), &text))?;
+        text_out(&text)?;
     }
     if args.markdown {
         let options =
             MarkdownOptions::new().title("Commands and options".into()).show_footer(false);
         let text = clap_markdown::help_markdown_command_custom(&program, &options);
-        to_stdout(|| std::io::Write::write_all(&mut std::io::stdout(), text.as_bytes()))?;
+        text_out(text.as_bytes())?;
     }
     if let Some(folder) = args.man {
         let made =

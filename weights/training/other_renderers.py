@@ -19,7 +19,6 @@ import argparse
 import json
 import sys
 from collections.abc import Callable
-from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -332,15 +331,14 @@ def pair(rng: np.random.Generator, scene: str, kinds: Kinds, x: Plane, y: Plane,
         middle = rng.uniform(-1, 1, 2) * np.maximum(half - 2 * kinds.margin_mm, 0) - towards * kinds.margin_mm * 0.7
         first = place(rng, scene, kinds, 1, x - middle[0], y - middle[1])
         free = distance_transform_edt(~first.contact()) * mm
-        middle = middle + towards * kinds.free_mm
+        middle, shape = middle + towards * kinds.free_mm, rng.integers(2**32)
         # It moves in by what lies between the two, which never takes it too far.
         for _ in range(15):
-            second = place(deepcopy(rng), scene, kinds, 1, x - middle[0], y - middle[1])
+            second = place(np.random.default_rng(shape), scene, kinds, 1, x - middle[0], y - middle[1])
             between = free[second.contact()].min(initial=free.max())
             middle = middle - towards * (between - gap)
         contacts = first.contact() | second.contact()
         edge = contacts[[0, -1]].any() or contacts[:, [0, -1]].any()
-        rng.random()  # Another second one, if this pair is none.
         if first.contact().any() and second.contact().any() and not edge and abs(between - gap) < 2 * mm:
             return [first, second]
 

@@ -11,7 +11,9 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import CompressedImage, Image
+from std_msgs.msg import Header
 
+from smr_gpu_ros import messages
 from smr_gpu_ros.running import until_interrupted
 
 
@@ -56,10 +58,7 @@ def _publish(images: list[Image] | list[CompressedImage], arguments: argparse.Na
 
 
 def _raw(file: Path) -> Image:
-    pixels = np.asarray(Pillow.open(file).convert("RGB"))
-    height, width, _ = pixels.shape
-    data = array.array("B", pixels.tobytes())
-    return Image(height=height, width=width, encoding="rgb8", step=3 * width, data=data)
+    return messages.image(np.asarray(Pillow.open(file).convert("RGB")), Header())
 
 
 def _compressed(file: Path) -> CompressedImage:

@@ -105,7 +105,7 @@ impl<'a> Files<'a> {
         keep(&mut self.coco, &mut exit, |coco| coco.add(id, found));
         let mut tell =
             |result: Result<(), Failure>| exit = exit.max(super::super::exit::told(result));
-        if let Some(yolo) = &mut self.yolo {
+        if let Some(yolo) = &self.yolo {
             tell(yolo.write(outputs, &id.stem(), &yolo_text(found)));
         }
         if self.crops.is_none() && self.save.is_none() && self.film.is_none() {
@@ -115,7 +115,7 @@ impl<'a> Files<'a> {
             Ok(picture) => picture,
             Err(e) => return exit.max(Failure::about(id, &e).told().exit),
         };
-        if let Some(crops) = &mut self.crops {
+        if let Some(crops) = &self.crops {
             for (number, snap) in (1..).zip(&found.detections) {
                 let crop = cut(&picture, snap);
                 tell(crops.save(outputs, &format!("{}.{number}", id.stem()), &crop));
@@ -125,7 +125,7 @@ impl<'a> Files<'a> {
             return exit;
         }
         let drawn = self.artist.draw_found(picture, found);
-        if let Some(save) = &mut self.save {
+        if let Some(save) = &self.save {
             tell(save.save(outputs, &id.stem(), &drawn));
         }
         keep(&mut self.film, &mut exit, |film| film.add(id, drawn));

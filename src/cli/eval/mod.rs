@@ -190,7 +190,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         Ok((shown(folder.as_os_str()), pictures))
     });
     let labels = labels.collect::<Result<Vec<_>, Failure>>()?;
-    let mut gallery = args.save.as_deref().map(Gallery::create).transpose()?;
+    let gallery = args.save.as_deref().map(Gallery::create).transpose()?;
 
     let several = labels.len() > 1;
     let report = |set: &Set, conditions: bool| {
@@ -237,7 +237,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     };
     for (number, (name, pictures)) in labels.iter().enumerate() {
         let set = detect_all(&detector, name, pictures, stated, &mut assumed, &progress)?;
-        if let Some(gallery) = &mut gallery {
+        if let Some(gallery) = &gallery {
             let looked_at = set.places.iter().map(|place| &pictures[*place]).zip(&set.seen);
             let sheet = sheet::worst(&looked_at.collect::<Vec<_>>(), &classes, args.conf);
             let stem = format!("worst-{}", folder_name(&args.data[number]));

@@ -1,7 +1,7 @@
 //! Runs that do a list together: what they leave is what one run leaves.
 #![cfg(unix)]
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -16,9 +16,9 @@ use program::{Ran, command, folder, ramp, run};
 const SAMPLES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/samples");
 const SHARDS: [&str; 3] = ["1/3", "2/3", "3/3"];
 
-/// The files of a folder with their bytes; but for the lock, which has the number of a run.
-fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
+/// The files of a folder by their names in it, but for the lock, which has the number of a run.
+fn names(folder: &Path) -> BTreeSet<PathBuf> {
+    let mut found = BTreeSet::new();
     let mut folders = vec![folder.to_owned()];
     while let Some(next) = folders.pop() {
         for entry in fs::read_dir(next).expect("a folder") {
@@ -26,12 +26,17 @@ fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
             if path.is_dir() {
                 folders.push(path);
             } else if !path.ends_with(".simulate.lock") {
-                let name = path.strip_prefix(folder).expect("below").to_owned();
-                found.insert(name, fs::read(&path).expect("a file"));
+                found.insert(path.strip_prefix(folder).expect("below").to_owned());
             }
         }
     }
     found
+}
+
+/// The same with their bytes, of a folder that nobody writes to.
+fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let read = |name: PathBuf| (name.clone(), fs::read(folder.join(name)).expect("a file"));
+    names(folder).into_iter().map(read).collect()
 }
 
 #[track_caller]
@@ -115,7 +120,7 @@ fn shards_find_what_one_run_finds() {
         fs::write(path(&format!("{list}.json")), ran.stdout).expect("written");
     }
     // What the killed run had not finished stays beside what is whole.
-    for name in contents(&path("parts")).into_keys() {
+    for name in names(&path("parts")) {
         if name.extension().is_some_and(|ending| ending == "unfinished") {
             fs::remove_file(path("parts").join(name)).expect("removed");
         }
@@ -230,7 +235,7 @@ fn shards_draw_what_one_run_draws() {
     // Into one folder at a time, and one of them is killed as soon as a picture is whole.
     let [mut first, mut second, third] =
         SHARDS.map(|shard| simulate(together.path(), Some(shard)).spawn().expect("it runs"));
-    while !contents(together.path()).keys().any(|name| name.starts_with("labels"))
+    while !names(together.path()).iter().any(|name| name.starts_with("labels"))
         && second.try_wait().expect("a child").is_none()
     {
         std::thread::yield_now();

@@ -1,13 +1,16 @@
 //! The documents: links lead somewhere, every page is in the book, the reference says what the program does.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use pulldown_cmark::{CodeBlockKind, Event, Options, Parser, Tag, TagEnd};
+use serde_json::Value;
 
+#[path = "support/page.rs"]
+mod page;
 #[path = "support/program.rs"]
 mod program;
-use program::run;
+use page::Page;
+use program::{ramp, run};
 
 /// Folders of what is built or installed, not written.
 const BUILT: [&str; 5] = ["target", ".git", ".venv", "node_modules", "out"];
@@ -27,52 +30,6 @@ fn pages(folder: &Path) -> Vec<PathBuf> {
     let written = paths.filter(|path| !BUILT.iter().any(|built| path.ends_with(built)));
     let each = written.flat_map(|path| if path.is_dir() { pages(&path) } else { vec![path] });
     each.filter(|path| path.extension().is_some_and(|end| end == "md")).collect()
-}
-
-/// What a page holds.
-#[derive(Default)]
-struct Page {
-    links: Vec<String>,
-    /// Names of its headings in links, as GitHub and mdBook make them.
-    anchors: BTreeSet<String>,
-    /// Blocks of code with what stands behind their fence.
-    blocks: Vec<(String, String)>,
-}
-
-impl Page {
-    fn new(text: &str) -> Self {
-        let (mut page, mut heading, mut block) = (Self::default(), None, None);
-        for event in Parser::new_ext(text, Options::ENABLE_TABLES) {
-            match event {
-                Event::Start(Tag::Link { dest_url, .. } | Tag::Image { dest_url, .. }) => {
-                    page.links.push(dest_url.into_string());
-                }
-                Event::Start(Tag::Heading { .. }) => heading = Some(String::new()),
-                Event::End(TagEnd::Heading(_)) => {
-                    let name = heading.take().unwrap_or_default().to_lowercase();
-                    let kept = name.chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c));
-                    page.anchors.insert(kept.collect::<String>().replace(' ', "-"));
-                }
-                Event::Start(Tag::CodeBlock(CodeBlockKind::Fenced(kind))) => {
-                    block = Some((kind.into_string(), String::new()));
-                }
-                Event::End(TagEnd::CodeBlock) => page.blocks.extend(block.take()),
-                Event::Text(text) | Event::Code(text) => {
-                    if let Some(into) = heading.as_mut().or(block.as_mut().map(|(_, code)| code)) {
-                        into.push_str(&text);
-                    }
-                }
-                _ => {}
-            }
-        }
-        page
-    }
-
-    fn open(path: &Path) -> Self {
-        Self::new(
-            &std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display())),
-        )
-    }
 }
 
 #[test]
@@ -125,44 +82,53 @@ fn the_reference_lists_the_options() {
     );
 }
 
-/// Paths of the fields of an object, those of a list's first entry too.
-fn fields(value: &serde_json::Value, at: &str, into: &mut BTreeMap<String, &'static str>) {
-    use serde_json::Value::*;
-    let kind = match value {
-        Null => "null",
-        Bool(_) => "boolean",
-        Number(_) => "number",
-        String(_) => "string",
-        Array(entries) => {
-            entries.first().into_iter().for_each(|first| fields(first, &format!("{at}[]"), into));
-            "list"
+/// Makes every object of a schema refuse fields that it does not name, which users' copies let pass.
+fn name_all_fields(schema: &mut Value) {
+    match schema {
+        Value::Array(entries) => entries.iter_mut().for_each(name_all_fields),
+        Value::Object(entries) => {
+            entries.values_mut().for_each(name_all_fields);
+            if entries.get("type").is_some_and(|kind| kind == "object") {
+                entries.insert("additionalProperties".to_owned(), Value::Bool(false));
+            }
         }
-        Object(entries) => {
-            entries.iter().for_each(|(name, value)| fields(value, &format!("{at}.{name}"), into));
-            "object"
-        }
-    };
-    into.insert(at.to_owned(), kind);
+        _ => {}
+    }
 }
 
-/// The page's line has the fields that `detect --json` prints, of the same types but where one is null.
+/// What `detect --json` prints, and what the page shows, is what the schema says: found, empty and failed looks,
+/// with scales of each kind, in a stream.
 #[test]
-fn the_page_about_json_shows_a_line() {
+fn the_schema_describes_the_lines_of_json() {
+    let mut schema =
+        serde_json::from_str(&read("docs/reference/detect.schema.json")).expect("JSON");
+    jsonschema::meta::validate(&schema).expect("a schema");
+    name_all_fields(&mut schema);
+    let schema = jsonschema::validator_for(&schema).expect("a schema");
     let page = Page::new(&read("docs/reference/json.md"));
     let (_, shown) = page.blocks.iter().find(|(kind, _)| kind == "json").expect("a block of JSON");
-    let ran = run(
-        root(),
-        &["detect", "samples/hooks.png", "--json", "--device", "cpu", "--weights", "small"],
-    );
-    let [shown, printed] = [shown.as_str(), &ran.stdout].map(|text| {
-        let mut found = BTreeMap::new();
-        fields(&serde_json::from_str(text).expect("JSON"), "", &mut found);
-        found
-    });
-    assert_eq!(shown.keys().collect::<Vec<_>>(), printed.keys().collect::<Vec<_>>());
-    for (name, kind) in shown {
-        assert!(kind == printed[&name] || [kind, printed[&name]].contains(&"null"), "{name}");
+    let mut lines = vec![serde_json::from_str(shown).expect("JSON")];
+    let bare = tempfile::tempdir().expect("a folder");
+    ramp(96, 64).save(bare.path().join("bare.png")).expect("saved");
+    let bare = bare.path().join("bare.png").to_str().expect("a name").to_owned();
+    for options in [
+        "samples/hooks.png --mm-per-pixel 0.04",
+        "samples/hooks.png --sensor paper --exact",
+        &format!("{bare} samples/stud.png"),
+    ] {
+        let mut line = vec!["detect", "--json", "--device", "cpu", "--weights", "small"];
+        line.extend(options.split(' '));
+        lines.extend(run(root(), &line).expect(0).json());
     }
+    assert_eq!(lines.len(), 5);
+    for line in &lines {
+        let wrong: Vec<_> = schema.iter_errors(line).map(|e| e.to_string()).collect();
+        assert!(wrong.is_empty(), "{wrong:#?} of {line}");
+    }
+    // It refuses what is not so.
+    let mut other = lines[1].clone();
+    other["detections"][0]["box"] = serde_json::json!([1, 2, 3]);
+    assert!(!schema.is_valid(&other));
 }
 
 /// Each code that the program's help names is in the table.

@@ -9,25 +9,32 @@ use super::exit::{Exit, Failure};
 use super::message::remark;
 use super::output::{json_line, line};
 
-/// Time every command of the network on an adapter
+/// Shown below `--help`.
+const EXAMPLES: &str = "\
+Examples:
+  smr-gpu bench
+  smr-gpu bench --ops --runs 20
+  smr-gpu bench --weights small --json";
+
+/// Where does the time go? Time every command of the network on an adapter
 ///
-/// Prints for each stage, with --ops for each dispatch and copy, its time, the best of several runs, with
-/// the bytes that its operations must read and write and their multiply-adds, and what share of the
-/// adapter's own measured rates that is. Each command is timed in a pass of its own, so that all together
-/// take longer than a detection.
+/// Prints for each stage, or with --ops for each dispatch and copy, the best time of several runs, the bytes that it
+/// must read and write, its multiply-adds, and what share of the adapter's own measured rates that is. Each command is
+/// timed in a pass of its own, so that their sum is longer than a detection.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct Args {
-    /// A line for each command; without it one for each stage.
+    /// Print a line for each command instead of each stage.
     #[arg(long)]
     ops: bool,
 
-    /// Runs of which the best counts.
+    /// Number of runs; the best counts.
     #[arg(long, default_value_t = 5, value_name = "N")]
     #[arg(value_parser = clap::value_parser!(u16).range(1..=1000))]
     #[arg(allow_negative_numbers = true)]
     runs: u16,
 
-    /// Print one JSON object a line.
+    /// Print lines of JSON.
     #[arg(long)]
     json: bool,
 

@@ -15,15 +15,23 @@ use super::exit::{Exit, Failure};
 use super::message::remark;
 use super::output::{count, folder_name, line};
 
+/// Shown below `--help`.
+const EXAMPLES: &str = "\
+Examples:
+  smr-gpu calibrate --presses presses --write mine.json
+  smr-gpu calibrate --presses presses --radius 3 --mm-per-pixel 0.03 --write mine.json
+  smr-gpu detect picture.png --sensor mine.json";
+
 /// Fit a sensor to pictures of a ball pressed into it
 ///
-/// DIR holds background.png, the untouched gel, and six or more pictures of presses of a ball of known
-/// radius. presses.csv (file,center_x_px,center_y_px,contact_radius_px) may say where the contacts are;
-/// without it they are found in the pictures. The scale is that of the ball's outline, which shows
-/// where it is pressed in about as deep as its radius, or what --mm-per-pixel says. The light is fitted
-/// to some presses and compared with the others (cross-validation), in crops about each contact: mean absolute
-/// difference in 8-bit levels, PSNR and SSIM. --write makes a file of it for --sensor.
+/// DIR holds background.png, the untouched gel, and six or more pictures of presses of a ball of known radius.
+/// presses.csv (file,center_x_px,center_y_px,contact_radius_px) may say where the contacts are; without it they are
+/// found in the pictures. The scale comes from the ball's outline, which shows where it is pressed in about as deep
+/// as its radius, or from --mm-per-pixel. The light is fitted to some presses and compared with the others
+/// (cross-validation), in crops around each contact: mean absolute difference in 8-bit levels, PSNR and SSIM. --write
+/// makes a file of it for --sensor.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct Args {
     /// Folder with background.png and the presses.
     #[arg(long, value_name = "DIR")]

@@ -9,31 +9,38 @@ use super::exit::{Exit, Failure};
 use super::message::{remark, tell};
 use super::output::{json_line, line};
 
-/// Compare each kernel of each operation with the f64 reference on this machine
+/// Shown below `--help`.
+const EXAMPLES: &str = "\
+Examples:
+  smr-gpu check
+  smr-gpu check conv2d --precision f16
+  smr-gpu check --device cpu";
+
+/// Is each kernel right here? Compare each with the f64 reference
 ///
-/// Runs the library's cases: hand-computed ones, edges and prime sizes, stiff and extreme values, on
-/// poisoned and guarded buffers, in each precision. Prints for each kernel and precision the number of
-/// cases, the ratio of the largest error to its bound, which passes up to 1, and the case of that
-/// error; in the end the command that runs the nearest case of all alone. Says where numbers overflow
-/// on the device that do not in f64.
+/// Runs the cases of each operation: hand-computed ones, edges and prime sizes, stiff and extreme values, on buffers
+/// that are filled with NaN and guarded, in each precision. Prints for each kernel and precision the number of cases,
+/// the largest error / bound, which passes up to 1, and the case it is from. The last line is the command that runs
+/// the case nearest to its bound. Says where numbers overflow on the device that do not in f64.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct Args {
-    /// Check this operation alone.
+    /// Check only this operation.
     name: Option<String>,
 
-    /// Check this kernel alone, as in the second column.
+    /// Check only this kernel, by its name in the second column.
     #[arg(long, value_name = "KERNEL")]
     kernel: Option<String>,
 
-    /// Run this case alone, as in the last column.
+    /// Run only this case, by its name in the last column.
     #[arg(long, value_name = "NAME")]
     case: Option<String>,
 
-    /// Check what is stored so alone (f32, f16).
+    /// Check only this precision (f32, f16).
     #[arg(long, value_name = "PRECISION")]
     precision: Option<Precision>,
 
-    /// Print an object a kernel and precision, one a line.
+    /// Print one line of JSON for each kernel and precision.
     #[arg(long)]
     json: bool,
 

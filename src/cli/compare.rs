@@ -14,24 +14,31 @@ use super::output::{count, json_line, line};
 use super::printable::printable;
 use super::source::{Source, column_width, expand_all};
 
-/// Hold the whole network to its f64 reference on pictures
+/// Shown below `--help`.
+const EXAMPLES: &str = "\
+Examples:
+  smr-gpu compare picture.png
+  smr-gpu compare in/ --precision f16
+  smr-gpu compare picture.png --weights small --json";
+
+/// Is the whole network right on my pictures? Compare it with its f64 reference
 ///
-/// Each operation is held to the reference on the device's own inputs, within its error bound; the
-/// detections are held to those of the reference that saw the picture alone. Prints a line a stage
-/// for one picture, a line a picture for several; fails if a bound is passed or a difference is not
-/// explained by rounding.
+/// Each operation is compared on the device's own inputs, within its error bound. The detections are compared with
+/// those that the reference finds in the picture by itself. Prints a line for each stage of one picture, or a line for
+/// each of several pictures. Fails if a bound is passed or rounding does not explain a difference.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct Args {
     /// Pictures, folders of pictures, patterns such as 'in/*.png', or `-` for one picture on stdin.
     #[arg(required = true, value_name = "SOURCE")]
     sources: Vec<PathBuf>,
 
-    /// Print one JSON object a line for each picture.
-    #[arg(long)]
+    /// Print one line of JSON for each picture.
+    #[arg(help_heading = "Output", long)]
     json: bool,
 
     /// Compare the detections with a score above this (0 to 1).
-    #[arg(long, default_value_t = 0.5, value_name = "SCORE", value_parser = fraction)]
+    #[arg(help_heading = "Output", long, default_value_t = 0.5, value_name = "SCORE", value_parser = fraction)]
     #[arg(allow_negative_numbers = true)]
     conf: f32,
 

@@ -23,10 +23,11 @@ use super::probe;
 /// What runs a command.
 #[derive(Debug, clap::Args)]
 pub(super) struct DeviceArgs {
-    /// `auto` for a hardware adapter if there is one, else this machine's cores; `gpu` for the best
-    /// adapter, including software renderers; its index in `smr-gpu devices`, which is any number, or part of its name;
-    /// `cpu` for this machine's cores, or `reference` for the f64 reference, which is slow.
-    #[arg(long, default_value = "auto", value_name = "auto|gpu|cpu|reference|INDEX|NAME")]
+    /// What runs the network: `auto` (a hardware adapter if there is one, else the CPU), `gpu` (the best adapter,
+    /// including software renderers), an index of `smr-gpu devices`, a part of an adapter's name, `cpu`, or
+    /// `reference` (the f64 reference, slow).
+    #[arg(help_heading = "Device", long, default_value = "auto")]
+    #[arg(value_name = "auto|gpu|cpu|reference|INDEX|NAME")]
     #[arg(value_parser = known::<Device>, allow_negative_numbers = true)]
     pub device: Device,
 }
@@ -34,9 +35,9 @@ pub(super) struct DeviceArgs {
 /// The adapter of a command that only a GPU can run.
 #[derive(Debug, clap::Args)]
 pub(super) struct AdapterArgs {
-    /// `auto` for the best adapter, including software renderers; its index in `smr-gpu devices`, which is any number, or part of its
-    /// name.
-    #[arg(long, default_value = "auto", value_name = "auto|INDEX|NAME")]
+    /// What runs the network: `auto` (the best adapter, including software renderers), an index of `smr-gpu
+    /// devices`, or a part of an adapter's name.
+    #[arg(help_heading = "Device", long, default_value = "auto", value_name = "auto|INDEX|NAME")]
     #[arg(value_parser = known::<Device>, allow_negative_numbers = true)]
     device: Device,
 }
@@ -44,53 +45,52 @@ pub(super) struct AdapterArgs {
 /// Which network finds snaps, and in what pictures.
 #[derive(Debug, clap::Args)]
 pub(super) struct NetworkArgs {
-    /// `large`, the paper's network; `small`, with an eighth of its multiply-adds; another name of
-    /// `smr-gpu weights`; or a weight file [default: $SMR_GPU_WEIGHTS, else `large`, else `small`].
-    #[arg(long, value_name = "large|small|NAME|FILE")]
+    /// The network: `large` (the paper's), `small` (an eighth of its multiply-adds), another name of `smr-gpu
+    /// weights`, or a weight file [default: $SMR_GPU_WEIGHTS, else `large`, else `small`].
+    #[arg(help_heading = "Model", long, value_name = "large|small|NAME|FILE")]
     weights: Option<PathBuf>,
 
-    /// The sensor that took the pictures: `paper`, `gelsight-mini`, `digit`, `plain` (the whole frame is
-    /// gel), or a sensor file (JSON). Without it, and without --mm-per-pixel, the gel is assumed to have
-    /// 40 mm along its shorter side, which stderr and --json say.
-    #[arg(long, value_name = "NAME|FILE", value_parser = given)]
+    /// The sensor that took the pictures: `paper`, `gelsight-mini`, `digit`, `plain` (the whole frame is gel), or a
+    /// sensor file (JSON). Without this and --mm-per-pixel, the shorter side of the gel is assumed to be 40 mm
+    /// long; stderr and --json say so.
+    #[arg(help_heading = "Sensor", long, value_name = "NAME|FILE", value_parser = given)]
     pub sensor: Option<Given>,
 
-    /// Millimetres of gel that a pixel of the pictures shows, whatever --sensor says of its own frames.
-    #[arg(long, value_name = "MM", value_parser = scale, allow_negative_numbers = true)]
+    /// Millimetres of gel a pixel; replaces the scale of --sensor.
+    #[arg(help_heading = "Sensor", long, value_name = "MM", value_parser = scale, allow_negative_numbers = true)]
     pub mm_per_pixel: Option<f32>,
 
-    /// The part of each picture that shows the gel, in pixels, or `all` of it [default: what --sensor
-    /// says; else the middle square of frames of the paper's 16 : 10, and all of others].
-    #[arg(long, value_name = "X,Y,W,H|all")]
+    /// The part of each picture that shows the gel, in pixels, or `all` [default: that of --sensor; without it the
+    /// middle square of 16 : 10 frames, as the paper's camera takes, and all of others].
+    #[arg(help_heading = "Sensor", long, value_name = "X,Y,W,H|all")]
     pub gel: Option<Gel>,
 
-    /// Refuse pictures of which nobody states the scale.
-    #[arg(long)]
+    /// Fail for pictures whose scale is not stated.
+    #[arg(help_heading = "Sensor", long)]
     strict_scale: bool,
 
-    /// Longer side of the gel in the network's input, in pixels, a multiple of 32 [default: the scale
-    /// that the weights know]. Weights know snaps of one size in pixels: the further off, the fewer
-    /// they find.
-    #[arg(long, value_name = "PIXELS", value_parser = input_size)]
-    size: Option<usize>,
-
-    /// How a GPU stores maps and weights: `f16` takes half the memory and is less exact. A picture that
-    /// overflows it is looked at again in f32, which a line on stderr says.
-    #[arg(long, value_name = "f32|f16", value_parser = known::<Precision>)]
-    precision: Option<Precision>,
-
-    /// Longest wait for one picture, in seconds; the f64 reference is not held to it.
-    #[arg(long, default_value = "120", value_name = "SECONDS", value_parser = seconds)]
+    /// Time limit for one picture, in seconds; the f64 reference has none.
+    #[arg(help_heading = "Device", long, default_value = "120", value_name = "SECONDS", value_parser = seconds)]
     #[arg(allow_negative_numbers = true)]
     timeout: Duration,
+
+    /// How a GPU stores maps and weights: `f16` takes half the memory and is less exact. A picture that overflows
+    /// f16 is run again in f32; stderr says so.
+    #[arg(help_heading = "Speed", long, value_name = "f32|f16", value_parser = known::<Precision>)]
+    precision: Option<Precision>,
+
+    /// Longer side of the gel in the network's input, in pixels, a multiple of 32 [default: by the scale that the
+    /// weights were trained at]. Another scale finds fewer snaps.
+    #[arg(help_heading = "Advanced", long, value_name = "PIXELS", value_parser = input_size)]
+    size: Option<usize>,
 }
 
 /// Which of the network's boxes stay.
 #[derive(Debug, clap::Args)]
 pub(super) struct BoxArgs {
-    /// Of two boxes of a class that overlap by more than this (intersection over union, 0 to 1),
-    /// the one with the lower score goes.
-    #[arg(long, default_value_t = 0.5, value_name = "IOU", value_parser = fraction)]
+    /// Non-maximum suppression: of two boxes of a class with a larger intersection over union than this (0 to 1),
+    /// drop the one with the lower score.
+    #[arg(help_heading = "Advanced", long, default_value_t = 0.5, value_name = "IOU", value_parser = fraction)]
     #[arg(allow_negative_numbers = true)]
     pub iou: f32,
 }
@@ -109,21 +109,21 @@ pub(super) struct DetectorArgs {
     pub network: NetworkArgs,
 
     #[command(flatten)]
-    boxes: BoxArgs,
+    device: DeviceArgs,
 
-    /// What may be left out where a picture does not need it, separated by commas: `contact`, the
-    /// network where nothing touches the gel; `regions`, the gel round what touches it;
-    /// `proposals`, places that are hardly a snap; `scales`, the deepest of the network's three scales.
-    /// Where that leaves a box in doubt a second look leaves nothing out [default: contact,regions].
-    #[arg(long, value_name = "WHAT,…", value_delimiter = ',')]
+    /// What to leave out where a picture does not need it, separated by commas: `contact` (the network, where
+    /// nothing touches the gel), `regions` (the gel away from contacts), `proposals` (places unlikely to be a snap),
+    /// `scales` (the deepest of the three scales). Where a box is then in doubt, the picture is run again with
+    /// nothing left out [default: contact,regions].
+    #[arg(help_heading = "Speed", long, value_name = "WHAT,…", value_delimiter = ',')]
     leave_out: Vec<Saving>,
 
     /// Leave nothing out.
-    #[arg(long, conflicts_with = "leave_out")]
+    #[arg(help_heading = "Speed", long, conflicts_with = "leave_out")]
     exact: bool,
 
     #[command(flatten)]
-    device: DeviceArgs,
+    boxes: BoxArgs,
 }
 
 /// A saving of [`Savings`].

@@ -5,14 +5,21 @@ use super::exit::{Exit, Failure};
 use super::output::{json_line, line};
 use super::probe;
 
+/// Shown below `--help`.
+const EXAMPLES: &str = "\
+Examples:
+  smr-gpu devices
+  smr-gpu devices --json
+  smr-gpu detect picture.png --device 1";
+
 /// List the adapters
 ///
-/// The index is what --device takes; the first hardware adapter that lacks nothing is
-/// `auto`, which without one is the CPU. Drivers are looked for in a process of its own, of which one
-/// that crashes or hangs while it loads is the end.
+/// The index is what --device takes. `auto` is the first hardware adapter that lacks nothing, or the CPU if there is
+/// none. Drivers are loaded in a process of their own, so one that crashes or hangs ends that process alone.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct Args {
-    /// Print one JSON object a line for each adapter.
+    /// Print one line of JSON for each adapter.
     #[arg(long)]
     json: bool,
 }

@@ -13,10 +13,18 @@ use super::output::text_out;
 /// Longest file that is read, in bytes.
 const MAX_BYTES: u64 = 1 << 32;
 
+/// Shown below `--help`.
+const EXAMPLES: &str = "\
+Examples:
+  smr-gpu merge one.csv two.csv three.csv > all.csv
+  smr-gpu merge one.jsonl two.jsonl > all.jsonl
+  smr-gpu merge *.coco > all.json";
+
 /// Merge what the shards of `detect` wrote
 ///
 /// Prints what one run without --shard writes to --csv or --coco, or prints with --json.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct Args {
     /// One file of each shard, all of the same kind: --csv, --coco, or what --json printed.
     #[arg(required = true, value_name = "FILE")]

@@ -49,11 +49,11 @@ use message::Level;
 #[derive(Debug, Parser)]
 #[command(version, long_version = version::long(), after_help = exit::HELP)]
 struct Cli {
-    /// Tell what goes wrong, and nothing else.
+    /// Print errors only.
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     quiet: bool,
 
-    /// Tell more: the time that each frame took.
+    /// Print more: the time of each frame.
     #[arg(short, long, global = true)]
     verbose: bool,
 

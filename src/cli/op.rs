@@ -18,11 +18,19 @@ use super::tensors;
 /// Largest output of an operation; a device's limits are below it.
 const MAX_OUTPUT_BYTES: u64 = 256 << 20;
 
+/// Shown below `--help`.
+const EXAMPLES: &str = "\
+Examples:
+  smr-gpu op --list
+  smr-gpu op nms in.safetensors out.safetensors --param threshold=0.5
+  smr-gpu op conv2d in.safetensors out.safetensors --device reference";
+
 /// Run one operation on tensors from a file
 ///
-/// The file names the tensors as the operation names its inputs. What an operation leaves behind a
-/// count that it computes, such as that of the kept boxes, has no meaning.
+/// The file names the tensors as the operation names its inputs. Where an operation computes a count, such as that of
+/// the boxes it keeps, its outputs have no meaning past that count.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct Args {
     /// The operation's name.
     #[arg(required_unless_present = "list")]

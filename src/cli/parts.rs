@@ -23,27 +23,27 @@ const MOST_SETTINGS: u64 = 1 << 16;
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub(super) struct CadArgs {
     /// Which direction of the files points to the gel.
-    #[arg(long, default_value = "z", value_name = "x|y|z|-x|-y|-z", value_parser = direction)]
+    #[arg(help_heading = "Parts of your own", long, default_value = "z", value_name = "x|y|z|-x|-y|-z", value_parser = direction)]
     #[arg(allow_hyphen_values = true, requires = "part")]
     axis: Direction,
 
     /// Which direction of the files points up in a picture of a part that is not turned [default: y, or z where
     /// --axis is another].
-    #[arg(long, value_name = "x|y|z|-x|-y|-z", value_parser = direction)]
+    #[arg(help_heading = "Parts of your own", long, value_name = "x|y|z|-x|-y|-z", value_parser = direction)]
     #[arg(allow_hyphen_values = true, requires = "part")]
     up: Option<Direction>,
 
     /// What lengths in the files are in.
-    #[arg(long, default_value = "mm", value_name = "mm|inch|m", value_parser = unit)]
+    #[arg(help_heading = "Parts of your own", long, default_value = "mm", value_name = "mm|inch|m", value_parser = unit)]
     #[arg(requires = "part")]
     unit: Unit,
 
     /// Side of a pixel of a height map, in millimetres.
-    #[arg(long, value_name = "MM", requires = "part")]
+    #[arg(help_heading = "Parts of your own", long, value_name = "MM", requires = "part")]
     map_pixel: Option<f64>,
 
     /// Height of white over black in a height map, in millimetres.
-    #[arg(long, value_name = "MM", requires = "part")]
+    #[arg(help_heading = "Parts of your own", long, value_name = "MM", requires = "part")]
     map_height: Option<f64>,
 }
 

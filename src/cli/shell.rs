@@ -36,6 +36,9 @@ pub(super) fn run(args: Args, mut program: Command) -> Result<Exit, Failure> {
         let options =
             MarkdownOptions::new().title("Commands and options".into()).show_footer(false);
         let text = clap_markdown::help_markdown_command_custom(&program, &options);
+        // The examples are indented by less than a block of code is.
+        let text =
+            text.replace("Examples:\n", "Examples:\n\n").replace("\n  smr-gpu ", "\n    smr-gpu ");
         text_out(text.as_bytes())?;
     }
     if let Some(folder) = args.man {

@@ -22,38 +22,45 @@ use super::output;
 use super::parts::{self, CadArgs, PartArg, part};
 use super::preview;
 
+/// Shown below `--help`.
+const EXAMPLES: &str = "\
+Examples:
+  smr-gpu simulate --out train --count 1000 --seed 1 --conditions wide
+  smr-gpu simulate --out clips --count 100 --seed 2 --part clip=clip.stl
+  smr-gpu simulate --preview sheet.png --part clip=clip.stl";
+
 /// Simulate pictures of snaps pressed into the sensor's gel
 ///
-/// Writes DIR/images/000000.png and so on, and DIR/annotations.json (COCO). The same seed gives the
-/// same pictures, whatever the number of threads. Different seeds share no scene: give training,
-/// validation and test sets each their own. Called again with the same options, a run that was cut
-/// off goes on where it stopped.
+/// Writes DIR/images/000000.png and so on, and DIR/annotations.json (COCO). The same seed gives the same pictures,
+/// whatever the number of threads. Different seeds share no scene: give training, validation and test sets each their
+/// own. Called again with the same options, a run that was stopped goes on.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct Args {
     /// Folder to write to.
-    #[arg(long, value_name = "DIR", required_unless_present = "preview")]
+    #[arg(help_heading = "Output", long, value_name = "DIR", required_unless_present = "preview")]
     out: Option<PathBuf>,
 
     /// Number of pictures.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(help_heading = "Output", long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     #[arg(allow_negative_numbers = true, required_unless_present_any = ["preview", "paper"])]
     count: Option<u32>,
 
     /// Seed of the data set, or of the presses of --preview.
-    #[arg(long, value_name = "S")]
+    #[arg(help_heading = "Output", long, value_name = "S")]
     #[arg(allow_negative_numbers = true, required_unless_present_any = ["preview", "paper"])]
     seed: Option<u64>,
 
     /// Draw the two sets of the paper's experiments, DIR/a and DIR/b: 1000 pictures of each snap, by seeds that are
     /// fixed, or the first N of them. No weights here have learnt from them.
-    #[arg(long, requires = "out", conflicts_with_all = [
+    #[arg(help_heading = "Output", long, requires = "out", conflicts_with_all = [
         "seed", "preview", "kind", "conditions", "press", "sensor", "part", "negative", "look_alike", "force",
     ])]
     paper: bool,
 
     /// Write one sheet (PNG) instead of a data set: of each --part what is seen of it from the gel, where its 0°
     /// is, its heights in millimetres, and six presses with their boxes and directions.
-    #[arg(long, value_name = "FILE", requires = "part", conflicts_with_all = [
+    #[arg(help_heading = "Output", long, value_name = "FILE", requires = "part", conflicts_with_all = [
         "out", "count", "kind", "conditions", "press", "sensor", "look_alike", "force",
     ])]
     preview: Option<PathBuf>,
@@ -61,27 +68,27 @@ pub(super) struct Args {
     /// Draw each nth picture alone, from the ith on, and no annotations.json: n runs draw a data set together, into
     /// one folder or several that are put together. The same without --shard then draws what is missing and
     /// writes annotations.json.
-    #[arg(long, value_name = "I/N", conflicts_with = "preview")]
+    #[arg(help_heading = "Output", long, value_name = "I/N", conflicts_with = "preview")]
     shard: Option<Shard>,
 
     /// Which snaps the pictures show.
-    #[arg(long, value_enum, default_value_t = Mix::Mixed)]
+    #[arg(help_heading = "What is shown", long, value_enum, default_value_t = Mix::Mixed)]
     kind: Mix,
 
     /// From what frames, light, wear and parts are drawn.
-    #[arg(long, value_enum, default_value_t = Conditions::Plain)]
+    #[arg(help_heading = "What is shown", long, value_enum, default_value_t = Conditions::Plain)]
     conditions: Conditions,
 
     /// Draw the frames of one press in their order, 500 for each: a snap comes, presses, rests, slides and
     /// goes, under light that drifts (plain conditions).
-    #[arg(long, conflicts_with_all = ["sensor", "look_alike", "force"])]
+    #[arg(help_heading = "What is shown", long, conflicts_with_all = ["sensor", "look_alike", "force"])]
     press: bool,
 
     /// Draw the pictures that one sensor takes: `paper`, `gelsight-mini`, `digit` or a sensor file (JSON), as
     /// `smr-gpu calibrate` writes. Frame, gel, scale, distortion and, if the file has them, light, markers
     /// and the untouched gel's picture are the sensor's. Plain conditions draw all else weakly, but for the
     /// lights' colour, which is grey on some sensors and strong on others.
-    #[arg(long, value_name = "NAME|FILE", value_parser = drawable)]
+    #[arg(help_heading = "Sensor", long, value_name = "NAME|FILE", value_parser = drawable)]
     sensor: Option<Sensor>,
 
     /// A class of snaps of your own, several times for several: its name, and its part from a CAD file (STL,
@@ -89,11 +96,11 @@ pub(super) struct Args {
     /// easily taken for a part is drawn too, without a label: its outline as a plain block, the part without
     /// its tip, and its mirror image. Or FILE is JSON that names the part's `file`, from its own folder, and
     /// of `axis`, `up`, `unit`, `map_pixel` and `map_height` what is other than the options say.
-    #[arg(long, value_name = "NAME=FILE|A|B", value_parser = part)]
+    #[arg(help_heading = "Parts of your own", long, value_name = "NAME=FILE|A|B", value_parser = part)]
     part: Vec<PartArg>,
 
     /// A shape that is no snap, several times for several: a file as for --part.
-    #[arg(long, value_name = "FILE", requires = "part")]
+    #[arg(help_heading = "Parts of your own", long, value_name = "FILE", requires = "part")]
     negative: Vec<PathBuf>,
 
     #[command(flatten)]
@@ -102,7 +109,7 @@ pub(super) struct Args {
     /// Narrow what is no snap to one kind: arm, block, tab, ring, screw, nut, ball, prism, bracket, letters, rib,
     /// edge, pin, clutter or nothing (wide conditions, or a sensor's); beside --part also what belongs to a part, as
     /// NAME-block, NAME-cut and NAME-mirror, or the name of a --negative, A or B.
-    #[arg(long, value_name = "KIND")]
+    #[arg(help_heading = "What is shown", long, value_name = "KIND")]
     look_alike: Option<String>,
 
     /// Set conditions for all pictures, KEY or KEY=VALUE, separated by commas (wide conditions, or a sensor's).
@@ -142,6 +149,7 @@ pub(super) struct Args {
     ///   drive       of screws: cross, slot or hex
     ///   depth       of snaps, in mm, as far as the gel's thickness goes
     #[arg(
+        help_heading = "What is shown",
         long,
         value_name = "KEY[=VALUE],…",
         default_value = "",

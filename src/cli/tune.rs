@@ -14,20 +14,28 @@ use super::folders::{self, CACHE_VARIABLE};
 use super::message::remark;
 use super::output::{self, line};
 
-/// Measure which kernels are fastest on an adapter, and keep the choice
+/// Shown below `--help`.
+const EXAMPLES: &str = "\
+Examples:
+  smr-gpu tune
+  smr-gpu tune --weights small --precision f16
+  smr-gpu tune --seconds 60 --out choice.json";
+
+/// Which kernels are fastest here? Measure them, and keep the choice
 ///
-/// Each operation runs with each kernel that fits, for at most about ten seconds in all. The choice is
-/// kept in the user's cache folder, by adapter, driver and version, beside those of other networks, sizes
-/// and precisions; detections use it from then on.
+/// Runs each operation with each kernel that fits, for about ten seconds in all. The choice is kept in the user's
+/// cache folder, by adapter, driver and version, beside those of other networks, sizes and precisions. Detections use
+/// it from then on.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct Args {
-    /// Longest measurement, in seconds; a kernel's turn that has begun is ended.
+    /// Time limit in seconds; a measurement that has begun is ended.
     #[arg(long, default_value_t = 10, value_name = "SECONDS")]
     #[arg(value_parser = clap::value_parser!(u64).range(1..=3600))]
     #[arg(allow_negative_numbers = true)]
     seconds: u64,
 
-    /// Write the choice to this file instead, or beside what it holds if that was measured here too.
+    /// Write the choice to this file instead; a choice that was measured here too is kept beside it.
     #[arg(long, value_name = "FILE.json")]
     out: Option<PathBuf>,
 

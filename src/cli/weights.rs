@@ -16,16 +16,24 @@ use super::message::tell;
 use super::names::shown;
 use super::output::{json_line, line};
 
-/// List the weights that there are, or store more
+/// Shown below `--help`.
+const EXAMPLES: &str = "\
+Examples:
+  smr-gpu weights
+  smr-gpu weights add mine.safetensors
+  smr-gpu detect picture.png --weights mine";
+
+/// List the networks that there are, or store more
 ///
 /// Each line is a name that --weights takes, with the weights that it finds. They are looked for in
 /// $SMR_GPU_WEIGHTS, if that is a folder, in the user's data folder, in `weights` beside the program and up to two
-/// folders above it, in `share/smr-gpu/weights` beside the program's folder, and in `weights` in the current folder;
+/// folders above it, in `share/smr-gpu/weights` beside the program's folder, and in `weights` in the current folder.
 /// `small` is also in the program.
 #[derive(Debug, clap::Args)]
 #[command(args_conflicts_with_subcommands = true)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct Args {
-    /// Print one JSON object a line for each.
+    /// Print one line of JSON for each.
     #[arg(long)]
     json: bool,
 
@@ -40,8 +48,8 @@ enum Command {
 
 /// Store a weight file in the user's data folder, where every command finds it by its name
 ///
-/// The file is stored whole or not at all: only if the network can be built from it, and if its SHA-256 is what
-/// --sha256 says, or, for `large` and `small` without that, the one that this program knows.
+/// The file is stored only if the network can be built from it and its SHA-256 is right: the one of --sha256, or,
+/// for `large` and `small` without that option, the one that this program knows.
 #[derive(Debug, clap::Args)]
 struct AddArgs {
     /// The weight file.

@@ -91,7 +91,7 @@ pub struct Row {
     pub precision: Precision,
     /// Cases that it fits; in f16, of those whose numbers f16 can hold.
     pub cases: usize,
-    /// Largest error as a share of its bound; at most 1 where nothing failed, 0 where only equal bits
+    /// Largest error / bound; at most 1 where nothing failed, 0 where only equal bits
     /// will do.
     pub share: f64,
     /// The case of that error; one that failed, if any did.

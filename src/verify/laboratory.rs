@@ -213,12 +213,12 @@ impl Comparison {
         self.proposals.excused.iter().chain(&self.detections.excused).map(String::as_str)
     }
 
-    /// The largest error of an element on its operation's own inputs, as a share of its bound.
+    /// The largest error / bound of an element on its operation's own inputs.
     pub fn share(&self) -> f64 {
         self.stages.iter().map(StageComparison::share).fold(0.0, f64::max)
     }
 
-    /// The largest bias of a tensor as a share of its bound; not a number if one is not.
+    /// The largest bias / bound of a tensor; not a number if one is not.
     pub fn bias(&self) -> f64 {
         self.stages.iter().filter_map(StageComparison::bias).fold(0.0, larger)
     }

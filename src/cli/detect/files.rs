@@ -16,34 +16,33 @@ use super::video::Film;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct FileArgs {
-    /// Write each picture with its boxes, names and scores drawn into this folder, as PNG.
-    #[arg(long, value_name = "DIR", help_heading = "Files")]
+    /// Write each picture, with boxes, classes and scores drawn, into this folder as PNG.
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
     save: Option<PathBuf>,
 
     /// Write a table with a row for each snap.
-    #[arg(long, value_name = "FILE", help_heading = "Files")]
+    #[arg(long, value_name = "FILE", help_heading = "Output")]
     csv: Option<PathBuf>,
 
-    /// Write the snaps as a list of COCO results: `image_id` counts the frames from 0, `category_id` the classes
-    /// from 1.
-    #[arg(long, value_name = "FILE", help_heading = "Files")]
+    /// Write the snaps as COCO results: `image_id` counts the frames from 0, `category_id` the classes from 1.
+    #[arg(long, value_name = "FILE", help_heading = "Output")]
     coco: Option<PathBuf>,
 
-    /// Write a text for each picture into this folder, a line a snap: class from 0, centre x and y, width and
-    /// height as fractions of the picture, and the score.
-    #[arg(long, value_name = "DIR", help_heading = "Files")]
+    /// Write a YOLO text file for each picture into this folder. Each line is a snap: class from 0, centre x and y,
+    /// width and height as fractions of the picture, and score.
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
     yolo: Option<PathBuf>,
 
-    /// Write the part of the picture within each box into this folder, as PNG, the best snap's first.
-    #[arg(long, value_name = "DIR", help_heading = "Files")]
+    /// Write the crop of each box into this folder as PNG, best score first.
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
     crops: Option<PathBuf>,
 
-    /// Write the drawn pictures as a video (.mp4, .mkv, .mov, .webm or .avi) by ffmpeg.
-    #[arg(long, value_name = "FILE", help_heading = "Files", value_parser = super::video::film_name)]
+    /// Write a video of the drawn pictures (.mp4, .mkv, .mov, .webm or .avi) through ffmpeg.
+    #[arg(long, value_name = "FILE", help_heading = "Output", value_parser = super::video::film_name)]
     video: Option<PathBuf>,
 
     /// Frames a second of --video [default: as the first two frames are apart, or 25].
-    #[arg(long, value_name = "N", help_heading = "Files", requires = "video")]
+    #[arg(long, value_name = "N", help_heading = "Output", requires = "video")]
     #[arg(value_parser = super::video::rate, allow_negative_numbers = true)]
     fps: Option<f64>,
 }

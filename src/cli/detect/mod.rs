@@ -30,12 +30,20 @@ use files::{FileArgs, Files};
 use record::Record;
 use table::Table;
 
+/// Shown below `--help`.
+const EXAMPLES: &str = "\
+Examples:
+  smr-gpu detect picture.png
+  smr-gpu detect in/ --save out/ --json
+  smr-gpu detect /dev/video0 --latest --sensor gelsight-mini";
+
 /// Find the snaps in pictures
 ///
-/// Prints a line a snap, or with --json an object a picture. A picture that cannot be read is named
-/// on stderr; the others still go through. Ctrl-C ends in order: what was found so far is kept. Pictures have at most 33 554 432 pixels and 320 MiB; with weights
-/// of at most 256 MiB that takes less than 1 GiB of memory, what a GPU's driver takes aside.
+/// Prints a line for each snap, or with --json one for each picture. A picture that cannot be read is named on
+/// stderr; the others still go through. Ctrl-C keeps what was found so far. A picture has at most 33 554 432 pixels
+/// and 320 MiB. With weights of at most 256 MiB a run takes less than 1 GiB of memory, without the GPU driver's own.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct Args {
     /// Pictures (PNG, JPEG, BMP, TIFF), folders of pictures, patterns such as 'in/*.png', or `-`
     /// for pictures on stdin, one after the other. With ffmpeg also videos, cameras (/dev/video0) and network
@@ -44,74 +52,90 @@ pub(super) struct Args {
     sources: Vec<PathBuf>,
 
     /// Take the pictures of folders within folders too.
-    #[arg(long)]
+    #[arg(help_heading = "Input", long)]
     recursive: bool,
 
-    /// Stdin brings bare pixels: frames of this size and format (rgb8, bgr8, rgba8, bgra8, gray8, gray16,
-    /// bayer-rggb8, bayer-bggr8, bayer-grbg8, bayer-gbrg8, yuyv, nv12), one after the other.
-    #[arg(long, value_name = "WxH:FORMAT")]
+    /// Read raw frames of this size and format from stdin, one after the other: rgb8, bgr8, rgba8, bgra8,
+    /// gray8, gray16, bayer-rggb8, bayer-bggr8, bayer-grbg8, bayer-gbrg8, yuyv or nv12.
+    #[arg(help_heading = "Input", long, value_name = "WxH:FORMAT")]
     raw: Option<RawFormat>,
 
-    /// Look at each nth picture alone, from the ith on: n runs on as many machines, which see the same files, do
-    /// a list of picture files, or one video, together. Indices, names and numbers are the whole list's. `merge`
-    /// makes one list of theirs.
-    #[arg(long, value_name = "I/N", conflicts_with_all = ["latest", "video", "dump_stages"])]
+    /// Look only at each Nth picture, from the Ith on, so that N runs share a list of picture files, or one video.
+    /// All must see the same files. Indices and names are those of the whole list; `smr-gpu merge` merges the lists.
+    #[arg(help_heading = "Input", long, value_name = "I/N", conflicts_with_all = ["latest", "video", "dump_stages"])]
     shard: Option<Shard>,
 
-    /// Look at each Nth frame.
-    #[arg(long, default_value_t = 1, value_name = "N", allow_negative_numbers = true)]
+    /// Look only at each Nth frame.
+    #[arg(
+        help_heading = "Input",
+        long,
+        default_value_t = 1,
+        value_name = "N",
+        allow_negative_numbers = true
+    )]
     #[arg(value_parser = clap::value_parser!(u64).range(1..))]
     every: u64,
 
-    /// Look at the latest frame: those that came meanwhile are dropped, and counted.
-    #[arg(long)]
+    /// Always look at the latest frame; drop and count those that came meanwhile.
+    #[arg(help_heading = "Input", long)]
     latest: bool,
 
-    /// Print one JSON object a line for each picture.
-    #[arg(long)]
+    /// Print one line of JSON for each picture.
+    #[arg(help_heading = "Output", long)]
     json: bool,
 
     #[command(flatten)]
     files: FileArgs,
 
     /// Show detections with a score above this (0 to 1).
-    #[arg(long, default_value_t = 0.5, value_name = "SCORE", value_parser = fraction)]
+    #[arg(help_heading = "Output", long, default_value_t = 0.5, value_name = "SCORE", value_parser = fraction)]
     #[arg(allow_negative_numbers = true)]
     conf: f32,
 
-    /// Show at most so many detections a picture (1 to 100).
-    #[arg(long, default_value_t = 100, value_name = "N")]
+    /// Show at most this many detections of a picture (1 to 100).
+    #[arg(help_heading = "Output", long, default_value_t = 100, value_name = "N")]
     #[arg(value_parser = clap::value_parser!(u8).range(1..=100))]
     #[arg(allow_negative_numbers = true)]
     max_det: u8,
 
-    /// Look for this class alone; may be given several times.
-    #[arg(long = "class", value_name = "NAME")]
+    /// Show only this class; may be given several times.
+    #[arg(help_heading = "Output", long = "class", value_name = "NAME")]
     classes: Vec<String>,
 
-    /// Write every stage's tensor, under the PyTorch model's names; for one picture. A tensor inside
-    /// a stage has the name of the layer that made it, after batch norm, residual and ReLU. Nothing is left
-    /// out then, as with --exact.
-    #[arg(long, value_name = "FILE.safetensors", conflicts_with = "leave_out")]
-    dump_stages: Option<PathBuf>,
+    #[command(flatten)]
+    detector: DetectorArgs,
 
-    /// Run as the table says that `smr-gpu tradeoff` wrote, on whole pictures: the fastest configuration within
-    /// --max-shift-mm, or with --min-iou. Refused where adapter, driver or weights are not the table's.
-    #[arg(long, value_name = "JSON", conflicts_with_all = ["weights", "size", "device", "precision", "leave_out"])]
+    /// Run the fastest configuration of this table, which `smr-gpu tradeoff` wrote, that keeps --max-shift-mm or
+    /// --min-iou, on whole pictures. Fails if adapter, driver or weights are not those of the table.
+    #[arg(help_heading = "Speed", long, value_name = "JSON", conflicts_with_all = ["weights", "size", "device", "precision", "leave_out"])]
     tradeoff: Option<PathBuf>,
 
-    /// With --tradeoff: nineteen of twenty boxes are within so many millimetres of the base's.
-    #[arg(long, value_name = "MM", requires = "tradeoff", value_parser = super::tradeoff::millimetres)]
+    /// With --tradeoff: 95 % of the boxes are within this distance of those of the base.
+    #[arg(help_heading = "Speed", long, value_name = "MM", requires = "tradeoff", value_parser = super::tradeoff::millimetres)]
     #[arg(default_value_t = super::tradeoff::SHIFT_MM, allow_negative_numbers = true)]
     max_shift_mm: f64,
 
     /// With --tradeoff: the mean overlap with the labels is at least this.
-    #[arg(long, value_name = "IOU", requires = "tradeoff", conflicts_with = "max_shift_mm")]
+    #[arg(
+        help_heading = "Speed",
+        long,
+        value_name = "IOU",
+        requires = "tradeoff",
+        conflicts_with = "max_shift_mm"
+    )]
     #[arg(value_parser = exact_fraction, allow_negative_numbers = true)]
     min_iou: Option<f64>,
 
-    #[command(flatten)]
-    detector: DetectorArgs,
+    /// Write the tensor of every stage of one picture, under the names of the PyTorch model. A tensor inside a
+    /// stage has the name of the layer that made it, after batch norm, residual and ReLU. Leaves nothing out, as
+    /// --exact.
+    #[arg(
+        help_heading = "Advanced",
+        long,
+        value_name = "FILE.safetensors",
+        conflicts_with = "leave_out"
+    )]
+    dump_stages: Option<PathBuf>,
 }
 
 impl Args {

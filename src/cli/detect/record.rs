@@ -6,8 +6,12 @@ use smr_gpu::{Detection, Detections, GpuDetector, Precision, Rect, Scale};
 
 use super::super::source::frame::FrameId;
 
+/// Version of docs/reference/detect.schema.json.
+const VERSION: u32 = 1;
+
 #[derive(Serialize)]
 pub(super) struct Record<'a> {
+    version: u32,
     file: String,
     /// Where the name is no Unicode, see [`super::super::source::Source::base64`].
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -47,6 +51,7 @@ struct Timings<'a> {
 impl<'a> Record<'a> {
     pub fn new(id: &FrameId, found: &'a Detections, detector: &GpuDetector) -> Self {
         Self {
+            version: VERSION,
             file: id.source.to_string(),
             file_base64: id.source.base64(),
             frame: id.to_string(),

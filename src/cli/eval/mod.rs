@@ -31,54 +31,62 @@ const PAPER: [(&str, f64, f64); 2] = [("A", 91.78, 99.3), ("B", 92.12, 99.4)];
 /// What all sets together are called.
 const TOGETHER: &str = "all";
 
-/// Measure the detections against labelled pictures
+/// Shown below `--help`.
+const EXAMPLES: &str = "\
+Examples:
+  smr-gpu eval --data test
+  smr-gpu eval --data a b c --weights small --by-condition
+  smr-gpu eval --data test --save worst --calibration";
+
+/// How good is it? Measure the detections against labelled pictures
 ///
-/// Reads DIR/annotations.json (COCO) and the pictures it names, in DIR or DIR/images. For each
-/// class: mean best-box IoU (a miss counts 0), AP50, AP50:95 as the COCO evaluation defines them,
-/// and the centre and yaw errors of the right boxes, with intervals of 95 % (bootstrap over pictures).
-/// Crowds are ignored, and so is what is found there. Of several folders a Markdown table, a row each.
+/// Reads DIR/annotations.json (COCO) and the pictures it names, in DIR or DIR/images. For each class: mean IoU of
+/// the best box (a miss counts 0), AP50 and AP50:95 as the COCO evaluation defines them, and the centre and yaw
+/// errors of the right boxes, each with its 95 % interval (bootstrap over pictures). Crowds are ignored, and so are
+/// detections in them. Several folders give a Markdown table with a row for each.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct Args {
     /// Folders with annotations.json and the pictures.
-    #[arg(long, value_name = "DIR", required = true, num_args = 1..)]
+    #[arg(help_heading = "Input", long, value_name = "DIR", required = true, num_args = 1..)]
     data: Vec<PathBuf>,
 
-    /// Best boxes, errors, their stated deviations and false alarms are of detections with a score above
-    /// this (0 to 1). Average precision and the calibration of scores look at all above 0.05.
-    #[arg(long, default_value_t = 0.5, value_name = "SCORE", value_parser = fraction)]
+    /// Take best boxes, errors, their stated deviations and false alarms from detections with a score above this
+    /// (0 to 1). Average precision and the calibration of scores take all above 0.05.
+    #[arg(help_heading = "Output", long, default_value_t = 0.5, value_name = "SCORE", value_parser = fraction)]
     #[arg(allow_negative_numbers = true)]
     conf: f32,
 
-    /// Look at the N pictures with the lowest ids alone, of each folder.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    /// Look only at the N pictures with the lowest ids of each folder.
+    #[arg(help_heading = "Input", long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     #[arg(allow_negative_numbers = true)]
     limit: Option<u32>,
 
     /// Show the paper's figures beside those of the classes A and B.
-    #[arg(long)]
+    #[arg(help_heading = "Output", long)]
     paper: bool,
 
     /// Ignore the scale and the gel that the labels state for a picture, as with --sensor; --mm-per-pixel
     /// and --gel replace theirs.
-    #[arg(long)]
+    #[arg(help_heading = "Sensor", long)]
     unstated: bool,
 
-    /// A table by what the labels state: depth, cut, markers, shadows, scale and so on, of all folders
+    /// Print a table by what the labels state (depth, cut, markers, shadows, scale and so on), of all folders
     /// together.
-    #[arg(long)]
+    #[arg(help_heading = "Output", long)]
     by_condition: bool,
 
-    /// Tables of how often boxes are right by score, and errors within their stated deviations, of all
+    /// Print how often boxes are right by score, and how often errors are within their stated deviations, of all
     /// folders together.
-    #[arg(long)]
+    #[arg(help_heading = "Output", long)]
     calibration: bool,
 
-    /// Draw each folder's ten worst pictures into one, in this folder.
-    #[arg(long, value_name = "DIR")]
+    /// Draw the ten worst pictures of each folder into one picture, in this folder.
+    #[arg(help_heading = "Output", long, value_name = "DIR")]
     save: Option<PathBuf>,
 
-    /// Print one JSON object a folder, with all tables; of several folders also one of all together.
-    #[arg(long)]
+    /// Print one line of JSON for each folder, with all tables, and one for all folders together.
+    #[arg(help_heading = "Output", long)]
     json: bool,
 
     #[command(flatten)]

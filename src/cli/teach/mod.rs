@@ -38,16 +38,24 @@ use super::simulate::{drawable, failure};
 use plan::{Plan, Role, Set};
 use python::{Estimate, Python};
 
+/// Shown below `--help`.
+const EXAMPLES: &str = "\
+Examples:
+  smr-gpu teach clip=clip.stl pin=pin.stl --out mine.safetensors --python train/bin/python
+  smr-gpu teach clip.stl --out mine.safetensors --estimate
+  smr-gpu teach --data labelled --out mine.safetensors --sensor gelsight-mini";
+
 /// Train a detector for parts of your own
 ///
-/// From CAD files: simulates pictures of the parts and of what is taken for them, trains the network on these,
-/// fits scores and stated deviations, and shows on other pictures what came of it. From pictures of your own with
-/// labels (--data, COCO): trains on four fifths of them and shows it on the rest. From both: on both at once.
+/// From CAD files: simulates pictures of the parts and of what is taken for them, trains the network on these, fits
+/// scores and stated deviations, and shows the result on other pictures. From your own labelled pictures (--data,
+/// COCO): trains on four fifths of them and shows the result on the rest. From both: on both at once.
 ///
 /// OUT is a weight file for --weights; the report is WORK/report.md. Needs a Python with the training package,
 /// weights/training of the sources, whose README says how to install it. Called again with the same options, a run
 /// that was stopped goes on, and gives the same weights.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct Args {
     /// Parts: a CAD file (STL, OBJ) or a height map (PNG of 16 bits) each, with a name before it or called as the
     /// file is; `A` and `B` may be among them.
@@ -55,20 +63,20 @@ pub(super) struct Args {
     part: Vec<PartArg>,
 
     /// Weight file to write.
-    #[arg(long, value_name = "FILE")]
+    #[arg(help_heading = "Output", long, value_name = "FILE")]
     out: PathBuf,
 
     /// Folders of your own pictures: annotations.json (COCO) and the pictures it names. Their classes are
     /// learnt beside the parts'; a name that both have is one class.
-    #[arg(long, value_name = "DIR", num_args = 1..)]
+    #[arg(help_heading = "Input", long, value_name = "DIR", num_args = 1..)]
     data: Vec<PathBuf>,
 
     /// Of all views that are learnt from, how many are of --data's pictures where there are parts too, 0 to 1.
-    #[arg(long, value_name = "SHARE", default_value_t = 0.5, value_parser = inner_fraction)]
+    #[arg(help_heading = "Input", long, value_name = "SHARE", default_value_t = 0.5, value_parser = inner_fraction)]
     data_share: f64,
 
     /// A shape that is no snap, several times for several: a file as for a part.
-    #[arg(long, value_name = "FILE", requires = "part")]
+    #[arg(help_heading = "Parts of your own", long, value_name = "FILE", requires = "part")]
     negative: Vec<PathBuf>,
 
     #[command(flatten)]
@@ -76,42 +84,47 @@ pub(super) struct Args {
 
     /// The sensor that takes the pictures: a name or a sensor file (JSON), as `smr-gpu calibrate` writes. A quarter
     /// of the simulated pictures are drawn as it takes them, and it has taken those of --data that state no scale.
-    #[arg(long, value_name = "NAME|FILE")]
+    #[arg(help_heading = "Sensor", long, value_name = "NAME|FILE")]
     sensor: Option<String>,
 
     /// The network to begin with: what it knows of contact helps with any part. `large` learns four times slower.
-    #[arg(long, value_name = "large|small|NAME|FILE", default_value = "small")]
+    #[arg(
+        help_heading = "Model",
+        long,
+        value_name = "large|small|NAME|FILE",
+        default_value = "small"
+    )]
     network: PathBuf,
 
     /// Simulated pictures to learn from.
-    #[arg(long, value_name = "N", default_value_t = 4000)]
+    #[arg(help_heading = "Training", long, value_name = "N", default_value_t = 4000)]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pictures: u32,
 
     /// Steps of training, of about twelve views each.
-    #[arg(long, value_name = "N", default_value_t = 4000)]
+    #[arg(help_heading = "Training", long, value_name = "N", default_value_t = 4000)]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     steps: u32,
 
     /// Simulated pictures to show the result on, plain and wide ones each; of what is taken for a part half as many.
-    #[arg(long, value_name = "N", default_value_t = 200)]
+    #[arg(help_heading = "Training", long, value_name = "N", default_value_t = 200)]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=100_000))]
     test: u32,
 
     /// Seed of pictures and training.
-    #[arg(long, value_name = "S", default_value_t = 1, value_parser = clap::value_parser!(u32).range(..1_000_000))]
+    #[arg(help_heading = "Training", long, value_name = "S", default_value_t = 1, value_parser = clap::value_parser!(u32).range(..1_000_000))]
     seed: u32,
 
     /// Folder of pictures, training and report [default: OUT with .teach in place of its ending].
-    #[arg(long, value_name = "DIR")]
+    #[arg(help_heading = "Output", long, value_name = "DIR")]
     work: Option<PathBuf>,
 
     /// The Python that has the training package.
-    #[arg(long, value_name = "PROGRAM", default_value = "python3")]
+    #[arg(help_heading = "Training", long, value_name = "PROGRAM", default_value = "python3")]
     python: PathBuf,
 
     /// Say what would be learnt from and how long it would take here, and end.
-    #[arg(long)]
+    #[arg(help_heading = "Training", long)]
     estimate: bool,
 }
 

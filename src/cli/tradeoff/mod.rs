@@ -23,35 +23,49 @@ use super::exit::{Exit, Failure, as_typed};
 use super::message::remark;
 use super::output::line;
 
-/// Measure error against run time of the ways to run the networks here
+/// Shown below `--help`.
+const EXAMPLES: &str = "\
+Examples:
+  smr-gpu tradeoff --data test --out out
+  smr-gpu tradeoff --data test --out out --limit 20 --device cpu
+  smr-gpu detect picture.png --tradeoff out/tradeoff.json --max-shift-mm 0.1";
+
+/// How fast can it be, for how much error? Measure the ways to run the networks
 ///
-/// Runs each configuration on the same pictures, one after the other in turn, so that all meet the same
-/// machine: first those that differ from the base by one thing (network, size of the input, device,
-/// precision, kernels, pictures at a time), then combinations of what was best. Writes tradeoff.json,
-/// tradeoff.csv, tradeoff.md, tradeoff.png and tradeoff.svg. The last line recommends a configuration for
-/// one picture at a time; `smr-gpu detect --tradeoff tradeoff.json` uses it. Ctrl-C keeps what was measured.
+/// Runs each configuration on the same pictures, in turns, so that all meet the same machine: first those that differ
+/// from the base by one thing (network, size of the input, device, precision, kernels, pictures at a time), then
+/// combinations of the best. Writes tradeoff.json, tradeoff.csv, tradeoff.md, tradeoff.png and tradeoff.svg. The last
+/// line recommends a configuration for one picture at a time; `smr-gpu detect --tradeoff tradeoff.json` uses it.
+/// Ctrl-C keeps what was measured.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub(super) struct Args {
     /// Folder with annotations.json and the pictures.
-    #[arg(long, value_name = "DIR")]
+    #[arg(help_heading = "Input", long, value_name = "DIR")]
     data: PathBuf,
 
     /// Folder for the tables and plots; made if missing.
-    #[arg(long, value_name = "DIR")]
+    #[arg(help_heading = "Output", long, value_name = "DIR")]
     out: PathBuf,
 
-    /// Look at the N pictures with the lowest ids alone.
-    #[arg(long, default_value_t = 100, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    /// Look only at the N pictures with the lowest ids.
+    #[arg(help_heading = "Input", long, default_value_t = 100, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     #[arg(allow_negative_numbers = true)]
     limit: u32,
 
     /// The networks, the base first [default: those of `large` and `small` that there are].
-    #[arg(long, value_name = "large|small|NAME|FILE", value_delimiter = ',')]
+    #[arg(
+        help_heading = "Model",
+        long,
+        value_name = "large|small|NAME|FILE",
+        value_delimiter = ','
+    )]
     weights: Vec<String>,
 
     /// Longer sides of the gel in the network's input, in pixels, multiples of 32, beside the scale that
     /// the weights know.
     #[arg(
+        help_heading = "Model",
         long,
         value_name = "PIXELS",
         value_delimiter = ',',
@@ -60,20 +74,25 @@ pub(super) struct Args {
     #[arg(value_parser = super::detector::input_size, allow_negative_numbers = true)]
     sizes: Vec<usize>,
 
-    /// Recommend the fastest configuration whose boxes, nineteen of twenty, are within so many
-    /// millimetres of where the base has them in f64.
-    #[arg(long, value_name = "MM", conflicts_with = "min_iou", value_parser = millimetres)]
+    /// Recommend the fastest configuration with 95 % of its boxes within this distance of those of the base in
+    /// f64.
+    #[arg(help_heading = "Output", long, value_name = "MM", conflicts_with = "min_iou", value_parser = millimetres)]
     #[arg(allow_negative_numbers = true)]
     max_shift_mm: Option<f64>,
 
     /// Recommend the fastest configuration whose mean overlap with the labels is at least this.
-    #[arg(long, value_name = "IOU", value_parser = exact_fraction)]
+    #[arg(help_heading = "Output", long, value_name = "IOU", value_parser = exact_fraction)]
     #[arg(allow_negative_numbers = true)]
     min_iou: Option<f64>,
 
     /// The adapter to measure beside the CPU: `auto` for the best, including software renderers; its index in
     /// `smr-gpu devices`, or part of its name; `cpu` for none.
-    #[arg(long, default_value = "auto", value_name = "auto|INDEX|NAME|cpu")]
+    #[arg(
+        help_heading = "Device",
+        long,
+        default_value = "auto",
+        value_name = "auto|INDEX|NAME|cpu"
+    )]
     #[arg(value_parser = known::<Device>, allow_negative_numbers = true)]
     device: Device,
 }

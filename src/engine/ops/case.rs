@@ -15,7 +15,7 @@ use crate::error::Result;
 pub struct Report {
     /// Largest absolute error of the shader against the reference.
     pub max_error: f64,
-    /// Largest error as a share of its bound; at most 1 in a case that passes.
+    /// Largest error / bound; at most 1 in a case that passes.
     pub max_share: f64,
     /// What failed, in words; empty in a case that passes.
     pub failures: Vec<String>,

@@ -78,12 +78,12 @@ pub struct StageComparison {
 }
 
 impl StageComparison {
-    /// The largest error of an element as a share of its bound.
+    /// The largest error / bound of an element.
     pub fn share(&self) -> f64 {
         self.tensors.iter().map(|t| t.share).fold(0.0, f64::max)
     }
 
-    /// The largest bias as a share of its bound, not a number if one is not; `None` where no operation is a sum
+    /// The largest bias / bound, not a number if one is not; `None` where no operation is a sum
     /// of products.
     pub fn bias(&self) -> Option<f64> {
         self.tensors.iter().filter_map(|t| t.bias).reduce(larger)

@@ -14,7 +14,7 @@ const DEVIATIONS: f64 = 7.0;
 pub struct TensorComparison {
     /// Name of the tensor.
     pub name: String,
-    /// The largest error of an element as a share of its bound, which the operation gives: at most 1
+    /// The largest error / bound of an element, which the operation gives: at most 1
     /// on a device that computes as it should. Where bits count, as of indices, counts and copies, it
     /// is 0, or infinite if one differs.
     pub share: f64,

@@ -15,7 +15,6 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64;
 use smr_gpu::Sensor;
 use smr_gpu::simulator::Error;
-use smr_gpu::simulator::appearance::Sideways;
 use smr_gpu::simulator::calibrate::{self, Ball};
 use smr_gpu::simulator::camera::{Camera, NormalTable};
 use smr_gpu::simulator::conditions::{Conditions, UNIT_CONTRAST};
@@ -35,13 +34,15 @@ use smr_gpu::simulator::optics::{
 };
 use smr_gpu::simulator::options::{Drive, Optics};
 use smr_gpu::simulator::own_part::OwnPart;
+use smr_gpu::simulator::painter::Sideways;
 use smr_gpu::simulator::raster::{FIELD_MM, Raster};
 use smr_gpu::simulator::relief::{Relief, Symmetry, View};
 use smr_gpu::simulator::render::{GRID, Rendered, Renderer, Request, STOP, contact_grid};
 use smr_gpu::simulator::scene::{Body, Mix, Negative, Own, Placed, Scene, scene_seed};
 use smr_gpu::simulator::shadow::{Ray, cast};
 use smr_gpu::simulator::smooth;
-use smr_gpu::simulator::snaps::{Kind, Snap, Stud};
+use smr_gpu::simulator::snaps::{Kind, Snap};
+use smr_gpu::simulator::stud::Stud;
 use smr_gpu::simulator::surface::Surface;
 
 const PICTURE_PX: usize = Raster::PAPER.width;

@@ -11,7 +11,8 @@ use super::forced::Forced;
 use super::options::Drive;
 use super::outline::{rectangle, rounded_edge, smooth_min, stroke};
 use super::relief::Relief;
-use super::snaps::{Snap, Stud};
+use super::snaps::Snap;
+use super::stud::Stud;
 use super::turned::Turned;
 
 /// A line from point to point, in millimetres.

@@ -12,8 +12,9 @@ use rand_pcg::Pcg64;
 use super::distractors::{Distractor, Part};
 use super::footprint::Footprint;
 use super::forced::Forced;
+use super::hook::Hook;
 use super::scene::{Mix, Own, Placed, Scene, sample_tilt, sample_yaw};
-use super::snaps::{Hook, Kind, Snap};
+use super::snaps::{Kind, Snap};
 
 /// Share of mixed pictures without a snap.
 const WITHOUT_SNAP: f64 = 0.4;

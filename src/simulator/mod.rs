@@ -7,7 +7,7 @@
 //! | `error` | | typed errors |
 //! | [`gel`], [`contact`], [`shadow`] | mechanics, light | the elastic layer, contact with a rigid body; shadows |
 //! | [`forced`], [`conditions`] | conditions | what differs from sensor to sensor, forced or drawn |
-//! | [`clutter`], [`turned`], [`fasteners`], [`snaps`], [`distractors`] | parts | height fields of what presses on the gel |
+//! | [`clutter`], [`turned`], [`fasteners`], [`hook`], [`stud`], [`snaps`], [`distractors`] | parts | height fields of what presses on the gel |
 //! | [`smooth`] | mechanics | smoothed reliefs |
 //! | [`camera`], [`optics`], [`lamps`] | camera, light | parallax, distortion, defocus, noise; brightness of a slope, measured or modelled |
 //! | [`surface`], [`tone`] | mechanics, light | the gel's surface under a body; what its depth and its rims do to the brightness |
@@ -15,7 +15,7 @@
 //! | [`coating`], [`markers`] | coating | the coating, its wear and its dust; its print |
 //! | [`label`] | labels | boxes round the imprints, seen through the same camera |
 //! | [`calibrate`] | truth | fits the optics to real presses and measures the distance to them |
-//! | [`appearance`], [`press`], [`given`] | picture | what one sensor makes of a surface; a press as frames; a user's own sensor |
+//! | [`appearance`], [`painter`], [`press`], [`given`] | picture | a sensor's look; the picture it takes of a surface; a press as frames; a user's own sensor |
 //! | [`render`] | picture | all of it for one seed |
 //! | [`dataset`] | files | folders of pictures with COCO labels |
 //!
@@ -57,6 +57,7 @@ pub mod fasteners;
 pub mod forced;
 pub mod gel;
 pub mod given;
+pub mod hook;
 pub mod label;
 pub mod lamps;
 pub mod layout;
@@ -66,6 +67,7 @@ pub mod optics;
 pub mod options;
 pub mod outline;
 pub mod own_part;
+pub mod painter;
 pub mod pose;
 pub mod press;
 pub mod raster;
@@ -75,6 +77,7 @@ pub mod scene;
 pub mod shadow;
 pub mod smooth;
 pub mod snaps;
+pub mod stud;
 pub mod surface;
 pub mod tone;
 pub mod turned;

@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::Error;
-use super::appearance::{Appearance, Light, Painter, Sideways};
+use super::appearance::{Appearance, Light};
 use super::camera::Camera;
 use super::conditions::{Conditions, Distribution, UNIT_CONTRAST};
 use super::contact::{Contact, Stop, solve};
@@ -18,6 +18,7 @@ use super::given::Given;
 use super::label::{Label, imprints, labels, visible_share};
 use super::layout::Region;
 use super::options::{Mechanics, Optics};
+use super::painter::{Painter, Sideways};
 use super::press::Press;
 use super::raster::PixelBox;
 use super::raster::Raster;

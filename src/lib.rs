@@ -98,7 +98,9 @@ pub mod smr;
 #[doc(hidden)]
 pub mod verify;
 
-pub use detector::{CachingDetector, Config, Detection, Detections, Device, GpuDetector, Savings};
+pub use detector::{
+    CachingDetector, Config, Detection, Detections, Device, GpuDetector, Saving, Savings,
+};
 pub use engine::gpu::AdapterChoice;
 pub use engine::precision::Precision;
 pub use error::{Error, Result};

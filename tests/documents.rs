@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
+use sha2::{Digest, Sha256};
 
 #[path = "support/page.rs"]
 mod page;
@@ -80,6 +81,27 @@ fn the_reference_lists_the_options() {
         ran.stdout == read("docs/reference/cli.md"),
         "smr-gpu shell --markdown > docs/reference/cli.md"
     );
+}
+
+/// What tools/report.py wrote was measured with the weights of this checkout.
+#[test]
+fn tables_are_of_these_weights() {
+    let digest = |(name, file): (&str, &str)| {
+        let bytes = std::fs::read(root().join("weights").join(file)).expect("weights");
+        let hex: String = Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect();
+        format!("{name} `{}`", &hex[..12])
+    };
+    let networks = [("large", "smrnet.safetensors"), ("small", "smrnet-s.safetensors")];
+    let today = format!("Weights: {}.", networks.map(digest).join(", "));
+    let mut tables = 0;
+    for path in pages(root()) {
+        let text = std::fs::read_to_string(&path).expect("a page");
+        for line in text.lines().filter(|line| line.starts_with("Weights: large")) {
+            assert!(line.starts_with(&today), "{}: {line}\nexpected {today}", path.display());
+            tables += 1;
+        }
+    }
+    assert!(tables >= 3, "{tables} tables");
 }
 
 /// Makes every object of a schema refuse fields that it does not name, which users' copies let pass.

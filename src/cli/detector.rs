@@ -6,12 +6,13 @@ use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use smr_gpu::engine::gpu::{AdapterChoice, Gpu, GpuOptions};
 use smr_gpu::files::Outputs;
 use smr_gpu::smr::{Catalog, ModelConfig};
 use smr_gpu::{
-    Config, Detections, Device, Error, Gel, GpuDetector, Origin, Precision, Savings, Scale, Sensor,
-    WeightSource,
+    Config, Detections, Device, Error, Gel, GpuDetector, Origin, Precision, Saving, Savings, Scale,
+    Sensor, WeightSource,
 };
 
 use super::adapters::Record;
@@ -116,6 +117,7 @@ pub(super) struct DetectorArgs {
     /// `scales` (the deepest of the three scales). Where a box is then in doubt, the picture is run again with
     /// nothing left out [default: contact,regions].
     #[arg(help_heading = "Speed", long, value_name = "WHAT,…", value_delimiter = ',')]
+    #[arg(value_parser = PossibleValuesParser::new(Saving::ALL.map(Saving::name)).map(saving))]
     leave_out: Vec<Saving>,
 
     /// Leave nothing out.
@@ -126,13 +128,10 @@ pub(super) struct DetectorArgs {
     boxes: BoxArgs,
 }
 
-/// A saving of [`Savings`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Saving {
-    Contact,
-    Regions,
-    Proposals,
-    Scales,
+/// A saving by one of the names.
+fn saving(name: String) -> Saving {
+    let named = Saving::ALL.into_iter().find(|saving| saving.name() == name);
+    named.expect("clap lets through those names alone")
 }
 
 /// Longest time limit: a day, which every clock and driver counts.
@@ -289,17 +288,10 @@ impl NetworkArgs {
 impl DetectorArgs {
     /// What may be left out.
     fn savings(&self) -> Savings {
-        let has = |saving| self.leave_out.contains(&saving);
         match (self.exact, &self.leave_out[..]) {
             (true, _) => Savings::NONE,
             (false, []) => Savings::default(),
-            (false, _) => Savings {
-                contact: has(Saving::Contact),
-                regions: has(Saving::Regions),
-                proposals: has(Saving::Proposals),
-                scales: has(Saving::Scales),
-                ..Savings::NONE
-            },
+            (false, savings) => Savings::of(savings),
         }
     }
 

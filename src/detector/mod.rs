@@ -63,7 +63,7 @@ use gate::Gate;
 use geometry::Geometry;
 use inference::Job;
 use input::Input;
-pub use savings::Savings;
+pub use savings::{Saving, Savings};
 use session::{Key, Session};
 
 /// Finds snap joints in pictures. Build it once; it holds the device, the compiled shaders, the

@@ -50,7 +50,48 @@ pub struct Savings {
     pub most_proposals: usize,
 }
 
+/// What a detection may leave out, each a switch of [`Savings`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Saving {
+    /// [`Savings::contact`].
+    Contact,
+    /// [`Savings::regions`].
+    Regions,
+    /// [`Savings::proposals`].
+    Proposals,
+    /// [`Savings::scales`].
+    Scales,
+}
+
+impl Saving {
+    /// All there are.
+    pub const ALL: [Self; 4] = [Self::Contact, Self::Regions, Self::Proposals, Self::Scales];
+
+    /// As `--leave-out` takes it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Contact => "contact",
+            Self::Regions => "regions",
+            Self::Proposals => "proposals",
+            Self::Scales => "scales",
+        }
+    }
+}
+
 impl Savings {
+    /// These alone are left out.
+    pub fn of(savings: &[Saving]) -> Self {
+        let has = |saving| savings.contains(&saving);
+        Self {
+            contact: has(Saving::Contact),
+            regions: has(Saving::Regions),
+            proposals: has(Saving::Proposals),
+            scales: has(Saving::Scales),
+            ..Self::NONE
+        }
+    }
+
     /// Nothing is left out.
     pub const NONE: Self = Self {
         contact: false,

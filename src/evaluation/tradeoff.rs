@@ -1,6 +1,6 @@
 //! Error against run time: what was measured of the ways to run a network, and which of them to take.
 //!
-//! A [`Setup`] says what is computed (the network and the size of its input) and how (the device, its
+//! A [`Setup`] says what is computed (the network, the size of its input, what is left out) and how (the device, its
 //! kernels, how many pictures at a time). The first sets what can be found, the second only rounds.
 //! `smr-gpu tradeoff` measures setups side by side into a [`Table`], from which [`Table::choose`]
 //! takes the fastest one that is near enough to the truth or to the best that the network can do.
@@ -9,6 +9,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::detector::Saving;
 use crate::engine::kernels;
 use crate::engine::precision::Precision;
 use crate::engine::tuned::Place;
@@ -35,14 +36,19 @@ pub struct Setup {
     /// How a GPU stores maps and weights.
     #[serde(default)]
     pub precision: Precision,
+    /// What is left out where a picture does not need it.
+    #[serde(default)]
+    pub leave_out: Vec<Saving>,
 }
 
 impl Setup {
     /// What is computed: setups that share it differ by rounding alone.
     pub fn what(&self) -> String {
-        match self.size {
-            Some(size) => format!("{} at {size} px", self.weights),
-            None => self.weights.clone(),
+        let size = self.size.map_or(String::new(), |size| format!(" at {size} px"));
+        let left_out: Vec<_> = self.leave_out.iter().map(|saving| saving.name()).collect();
+        match &left_out[..] {
+            [] => format!("{}{size}", self.weights),
+            names => format!("{}{size}, leaving out {}", self.weights, names.join(" + ")),
         }
     }
 
@@ -138,6 +144,12 @@ pub struct Quality {
     /// Median distance of centres in millimetres; infinite where no snap was found.
     #[serde(deserialize_with = "or_infinity")]
     pub center_error_mm: f64,
+    /// Where 95 % of the overlaps of resampled pictures lie.
+    #[serde(default)]
+    pub iou_95: Option<[f64; 2]>,
+    /// The same of the distance of centres.
+    #[serde(default)]
+    pub center_error_95_mm: Option<[f64; 2]>,
 }
 
 /// What was measured of a setup.
@@ -163,6 +175,11 @@ impl Measured {
     /// How far nineteen of twenty boxes are off at most; not finite if more are lost.
     pub fn shift_mm(&self) -> f64 {
         self.shift.mm.map_or(f64::INFINITY, |mm| mm.percentile_95)
+    }
+
+    /// The largest relative error of a stage against f64, where stages were compared.
+    pub fn rounding(&self) -> Option<f64> {
+        self.stages.iter().map(|stage| stage.relative_l2).reduce(f64::max)
     }
 }
 
@@ -227,18 +244,7 @@ impl Table {
 
     /// The setups that no other beats in time and in shift, the fastest first.
     pub fn front(&self) -> Vec<&Measured> {
-        let mut rows: Vec<&Measured> = self.rows.iter().collect();
-        let time = |row: &Measured| row.wall_ms.median;
-        rows.sort_by(|a, b| {
-            time(a).total_cmp(&time(b)).then(a.shift_mm().total_cmp(&b.shift_mm()))
-        });
-        let mut least = f64::INFINITY;
-        rows.retain(|row| {
-            let better = row.shift_mm() < least;
-            least = least.min(row.shift_mm());
-            better
-        });
-        rows
+        front(self.rows.iter(), Measured::shift_mm)
     }
 
     /// The fastest setup that keeps to `limit`, of those that look at one picture at a time: what several at
@@ -307,6 +313,23 @@ impl Table {
     }
 }
 
+/// Of some setups those that no other beats in time and in `error`, the fastest first.
+pub fn front<'a>(
+    rows: impl IntoIterator<Item = &'a Measured>,
+    error: impl Fn(&Measured) -> f64,
+) -> Vec<&'a Measured> {
+    let mut rows: Vec<&Measured> = rows.into_iter().collect();
+    let time = |row: &Measured| row.wall_ms.median;
+    rows.sort_by(|a, b| time(a).total_cmp(&time(b)).then(error(a).total_cmp(&error(b))));
+    let mut least = f64::INFINITY;
+    rows.retain(|row| {
+        let better = error(row) < least;
+        least = least.min(error(row));
+        better
+    });
+    rows
+}
+
 /// A digest of a weight file's bytes: equal bytes have equal ones, and a mistaken file another.
 pub fn digest(bytes: &[u8]) -> String {
     // FNV-1a over words.
@@ -333,6 +356,7 @@ mod tests {
             kernels: vec![],
             batch,
             precision: Precision::F32,
+            leave_out: vec![],
         }
     }
 
@@ -345,7 +369,13 @@ mod tests {
             peak_bytes: None,
             stages: Vec::new(),
             shift: Shift { mm: Some(spread(shift)), ..Shift::default() },
-            quality: Some(Quality { iou, ap50: 0.9, center_error_mm: 0.1 }),
+            quality: Some(Quality {
+                iou,
+                ap50: 0.9,
+                center_error_mm: 0.1,
+                iou_95: None,
+                center_error_95_mm: None,
+            }),
         }
     }
 
@@ -461,8 +491,13 @@ mod tests {
     #[test]
     fn tables_are_written_and_read() {
         let mut table = table();
-        table.rows[0].quality =
-            Some(Quality { iou: 0.0, ap50: 0.0, center_error_mm: f64::INFINITY });
+        table.rows[0].quality = Some(Quality {
+            iou: 0.0,
+            ap50: 0.0,
+            center_error_mm: f64::INFINITY,
+            iou_95: Some([0.0; 2]),
+            center_error_95_mm: None,
+        });
         let (stage, infinite) = ("conv1".to_owned(), f64::INFINITY);
         table.rows[0].stages = vec![StageError { stage, relative_l2: infinite, largest: infinite }];
         let folder = tempfile::tempdir().expect("a folder");
@@ -511,8 +546,12 @@ mod tests {
             kernels: vec!["conv2d/direct".into()],
             batch: 4,
             precision: Precision::F16,
+            leave_out: vec![Saving::Contact, Saving::Scales],
         };
-        assert_eq!(all.name(), "small at 192 px, gpu, conv2d/direct, f16, 4 at a time");
+        assert_eq!(
+            all.name(),
+            "small at 192 px, leaving out contact + scales, gpu, conv2d/direct, f16, 4 at a time"
+        );
         assert_eq!(setup("large", 1).name(), "large, cpu");
     }
 }

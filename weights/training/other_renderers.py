@@ -1,6 +1,6 @@
 """Pictures of snaps by renderers that share nothing with `smr-gpu simulate`, as COCO folders OUT/LOOK-SCENE.
 
-Sharp shapes as CAD has them; gel that follows by Gaussians, as in Taxim (Si and Yuan 2022), not by elasticity; and six
+Sharp shapes as CAD has them; gel that follows by Gaussians, as in Taxim (Si and Yuan 2022), not by elasticity; and
 seven looks: three coloured lamps with highlights on two fields of view, the same under a soft gel, one white lamp, a
 map of the normals, a gel that darkens with depth and slope, and a grey one that darkens with depth alone (`coat`). The
 scenes are `snaps` and other things, other things alone (`none`), snaps on a gel with printed dots (`markers`), hooks

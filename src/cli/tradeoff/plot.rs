@@ -1,28 +1,55 @@
 //! Error against run time, drawn as PNG and as SVG.
+//!
+//! What is computed (networks, sizes, what is left out) moves boxes against the truth; how it is computed
+//! (kernels, devices, precision) only rounds. So there is a panel for the first, twice, by what is lost of the
+//! overlap with the labels and by the distance of centres, and one for the second.
 
 use std::error::Error;
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
-use smr_gpu::evaluation::tradeoff::{Measured, Table};
+use smr_gpu::Precision;
+use smr_gpu::evaluation::tradeoff::{Measured, Quality, Table, front};
 
 use super::super::draw::{
     CHART_COLOURS as COLOURS, FONT_FAMILY as FAMILY, chart_png, register_chart_font,
 };
 use super::super::output::count;
 
-/// Width of the picture, and of its height what does not depend on the front's length.
 const WIDTH: u32 = 1200;
-const HEIGHT: u32 = 640;
-/// Height of a line of the key.
-const LINE: u32 = 26;
-/// A shift below this is drawn as this: a thousandth of a micrometre.
-const LEAST_MM: f64 = 1e-6;
+/// Height of a panel, and of the key.
+const PANEL: u32 = 440;
+const KEY: u32 = 64;
+/// Below this an error is drawn as this: what no f32 tells from nothing.
+const LEAST: f64 = 1e-9;
+/// Height of a name beside its point, and the width of a letter, in pixels.
+const NAME: (i32, i32) = (17, 8);
+const GREY: RGBColor = RGBColor(120, 120, 120);
+
 /// A plot in both formats.
 pub(super) struct Plots {
     pub png: Vec<u8>,
     pub svg: Vec<u8>,
+}
+
+/// What a panel shows.
+struct Panel<'a> {
+    title: String,
+    /// What its error is, with its unit.
+    axis: &'a str,
+    points: Vec<Point<'a>>,
+    /// Whether those that nothing beats are on a line, and they alone are named.
+    has_front: bool,
+}
+
+/// A setup in a panel.
+struct Point<'a> {
+    row: &'a Measured,
+    error: f64,
+    /// Where 95 % of the errors of resampled pictures lie.
+    between: Option<[f64; 2]>,
+    name: String,
 }
 
 /// Draws a table.
@@ -31,93 +58,175 @@ pub(super) struct Plots {
 /// What the plotting library returns, in words.
 pub(super) fn draw(table: &Table) -> Result<Plots, Box<dyn Error>> {
     register_chart_font();
-    let height = HEIGHT + LINE * (table.front().len() as u32 + 2);
+    let panels = panels(table);
+    let size = (WIDTH, PANEL * panels.len() as u32 + KEY);
     let mut svg = String::new();
-    chart(&SVGBackend::with_string(&mut svg, (WIDTH, height)).into_drawing_area(), table)?;
-    let png = chart_png((WIDTH, height), |root| chart(root, table))?;
+    chart(&SVGBackend::with_string(&mut svg, size).into_drawing_area(), table, &panels)?;
+    let png = chart_png(size, |root| chart(root, table, &panels))?;
     Ok(Plots { png, svg: svg.into_bytes() })
 }
 
-/// Place of a row: time in ms, shift in mm; those that lose more than one box in twenty lie on the top
-/// edge.
-fn place(row: &Measured, top: f64) -> (f64, f64) {
-    let shift = row.shift_mm();
-    (row.wall_ms.median, if shift.is_finite() { shift.max(LEAST_MM) } else { top })
-}
-
-/// From below the least to above the greatest of `values`.
-fn range(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
-    let low = values.clone().fold(f64::INFINITY, f64::min);
-    let high = values.fold(f64::NEG_INFINITY, f64::max);
-    if low.is_finite() && high.is_finite() { (low / 1.5, high * 1.5) } else { (1.0, 10.0) }
+/// Those of a table that have a point.
+fn panels(table: &Table) -> Vec<Panel<'_>> {
+    // How a network runs, its kernels and precision, is the last panel's.
+    let plain = |row: &&Measured| {
+        let Measured { setup, .. } = row;
+        setup.kernels.is_empty() && setup.precision == Precision::F32 && setup.batch == 1
+    };
+    let judged = |error: fn(&Quality) -> f64, between: fn(&Quality) -> Option<[f64; 2]>| {
+        let rows = table.rows.iter().filter(plain);
+        let points = rows.filter_map(|row| {
+            let quality = row.quality.as_ref()?;
+            let name = match row.setup.device.as_str() {
+                "cpu" => row.setup.what(),
+                device => format!("{}, {device}", row.setup.what()),
+            };
+            Some(Point { row, error: error(quality), between: between(quality), name })
+        });
+        points.filter(|point| point.error.is_finite()).collect()
+    };
+    let rounded = table.rows.iter().filter(|row| row.setup.what() == table.base.what());
+    let rounded = rounded.filter_map(|row| {
+        Some(Point { row, error: row.rounding()?, between: None, name: row.setup.how() })
+    });
+    let pictures = count(table.pictures, "picture");
+    let panels = [
+        Panel {
+            title: format!("What is computed: overlap with the labels, {pictures}"),
+            axis: "1 − mean IoU, %",
+            points: judged(
+                |q| 100.0 * (1.0 - q.iou),
+                |q| q.iou_95.map(|[low, high]| [high, low].map(|iou| 100.0 * (1.0 - iou))),
+            ),
+            has_front: true,
+        },
+        Panel {
+            title: "What is computed: centres against the labels".to_owned(),
+            axis: "centre error, median, mm",
+            points: judged(|q| q.center_error_mm, |q| q.center_error_95_mm),
+            has_front: true,
+        },
+        Panel {
+            title: format!("How it is computed: rounding of {} against f64", table.base.what()),
+            axis: "largest relative error of a stage",
+            points: rounded.filter(|point| point.error.is_finite()).collect(),
+            has_front: false,
+        },
+    ];
+    panels.into_iter().filter(|panel| !panel.points.is_empty()).collect()
 }
 
 fn chart<DB: DrawingBackend>(
     root: &DrawingArea<DB, Shift>,
     table: &Table,
+    panels: &[Panel],
 ) -> Result<(), Box<dyn Error>>
 where
     DB::ErrorType: 'static,
 {
     root.fill(&WHITE)?;
-    let (upper, key) = root.split_vertically(HEIGHT);
-    let finite = table.rows.iter().map(Measured::shift_mm).filter(|mm| mm.is_finite());
-    let (y0, y1) = range(finite.map(|mm| mm.max(LEAST_MM)));
-    let (x0, x1) = range(table.rows.iter().map(|row| row.wall_ms.median));
-    // One more line for what has no finite shift.
-    let top = y1 * 2.0;
-    let title = format!("Error against run time, {}", count(table.pictures, "picture"));
-    let mut chart = ChartBuilder::on(&upper)
-        .caption(title, (FAMILY, 24))
-        .margin(16)
+    let colours = Colours::of(table);
+    let (upper, key) = root.split_vertically(PANEL * panels.len() as u32);
+    for (area, panel) in upper.split_evenly((panels.len().max(1), 1)).iter().zip(panels) {
+        draw_panel(area, panel, &colours)?;
+    }
+    write_key(&key, &colours)
+}
+
+/// From below the least to above the greatest of `values`.
+fn range(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f64) {
+    let (low, high) = values.fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), value| {
+        (low.min(value), high.max(value))
+    });
+    (low / margin, high * margin)
+}
+
+fn draw_panel<DB: DrawingBackend>(
+    area: &DrawingArea<DB, Shift>,
+    panel: &Panel,
+    colours: &Colours,
+) -> Result<(), Box<dyn Error>>
+where
+    DB::ErrorType: 'static,
+{
+    let shown = |error: f64| error.max(LEAST);
+    let points = &panel.points;
+    let times = points.iter().flat_map(|p| [p.row.wall_ms.median, p.row.wall_ms.percentile_95]);
+    let (x0, x1) = range(times, 1.25);
+    let errors = points.iter().flat_map(|p| p.between.unwrap_or([p.error; 2])).map(shown);
+    let (y0, y1) = range(errors, 1.25);
+    let mut chart = ChartBuilder::on(area)
+        .caption(&panel.title, (FAMILY, 20))
+        .margin(12)
         .margin_right(32)
-        .x_label_area_size(56)
-        .y_label_area_size(96)
-        .build_cartesian_2d((x0..x1).log_scale(), (y0..top * 1.3).log_scale())?;
+        .x_label_area_size(48)
+        .y_label_area_size(92)
+        .build_cartesian_2d((x0..x1).log_scale(), (y0..y1).log_scale())?;
     chart
         .configure_mesh()
-        .x_desc("time from picture to detections, ms a picture (median)")
-        .y_desc("shift of centres from the base in f64, mm (95th percentile)")
-        .axis_desc_style((FAMILY, 17))
+        .x_desc("time from picture to detections, ms a picture (median to 95th percentile)")
+        .y_desc(panel.axis)
+        .axis_desc_style((FAMILY, 15))
         .label_style((FAMILY, 14))
         .x_label_formatter(&tick)
         .y_label_formatter(&tick)
-        .light_line_style(RGBColor(238, 238, 238))
-        .bold_line_style(RGBColor(215, 215, 215))
+        .light_line_style(RGBColor(240, 240, 240))
+        .bold_line_style(RGBColor(220, 220, 220))
         .draw()?;
 
-    let front = table.front();
-    let steps = front.iter().map(|row| place(row, top));
-    chart.draw_series(LineSeries::new(steps, RGBColor(150, 150, 150).stroke_width(2)))?;
-    let colours = Colours::of(table);
-    for row in &table.rows {
-        symbol(root, row, chart.backend_coord(&place(row, top)), colours.style(row))?;
+    let rows = points.iter().map(|point| point.row);
+    let error_of = |row: &Measured| {
+        points.iter().find(|p| p.row.setup == row.setup).map_or(f64::INFINITY, |p| p.error)
+    };
+    let best = if panel.has_front { front(rows, error_of) } else { rows.collect() };
+    if panel.has_front {
+        let steps = best.iter().map(|row| (row.wall_ms.median, shown(error_of(row))));
+        chart.draw_series(LineSeries::new(steps, RGBColor(170, 170, 170).stroke_width(2)))?;
     }
-    // The front's numbers, where they meet nothing else: around the point, ever further off.
-    let points: Vec<(i32, i32)> =
-        table.rows.iter().map(|row| chart.backend_coord(&place(row, top))).collect();
-    let mut taken: Vec<(i32, i32)> = points;
-    for (number, row) in (1..).zip(&front) {
-        let (x, y) = chart.backend_coord(&place(row, top));
-        let around = [(1, -1), (-1, -1), (1, 1), (-1, 1), (0, -1), (0, 1), (1, 0), (-1, 0)];
-        let rings = [15, 22, 30, 40];
-        let mut near = rings.iter().flat_map(|r| around.map(|(dx, dy)| (r * dx, r * dy)));
-        let free = |(dx, dy): &(i32, i32)| {
-            let (x, y) = (x + dx, y + dy);
-            taken.iter().all(|(u, v)| (x - u).abs() > 14 || (y - v).abs() > 14)
+    let mut taken = Vec::new();
+    for point in points {
+        let (time, late) = (point.row.wall_ms.median, point.row.wall_ms.percentile_95);
+        let at = chart.backend_coord(&(time, shown(point.error)));
+        let colour = colours.colour(&point.row.setup.weights);
+        let [low, high] = point.between.unwrap_or([point.error; 2]).map(shown);
+        for ends in
+            [[(time, shown(point.error)), (late, shown(point.error))], [(time, low), (time, high)]]
+        {
+            let ends = ends.map(|end| chart.backend_coord(&end));
+            area.draw(&PathElement::new(ends, colour.mix(0.45).stroke_width(1)))?;
+        }
+        symbol(area, point.row, at, colours.style(point.row))?;
+        taken.push((at.0 - 8, at.1 - 8, at.0 + 8, at.1 + 8));
+    }
+    // Names beside their points, where they cover nothing, within the panel.
+    let (width, height) = area.dim_in_pixel();
+    for point in points.iter().filter(|point| best.iter().any(|row| row.setup == point.row.setup)) {
+        let (x, y) = chart.backend_coord(&(point.row.wall_ms.median, shown(point.error)));
+        let long = NAME.1 * point.name.chars().count() as i32;
+        let places = [0, -20, 20, -40, 40, -60, 60, -80, 80].into_iter().flat_map(|down| {
+            [(x + 12, y + down - NAME.0 / 2), (x - 12 - long, y + down - NAME.0 / 2)]
+        });
+        let box_at = |(left, top): (i32, i32)| (left, top, left + long, top + NAME.0);
+        let is_free = |place: &(i32, i32)| {
+            let (left, top, right, bottom) = box_at(*place);
+            let inside =
+                left > 100 && right < width as i32 && top > 36 && bottom < height as i32 - 52;
+            inside
+                && taken
+                    .iter()
+                    .all(|(l, t, r, b)| right < *l || left > *r || bottom < *t || top > *b)
         };
-        let (dx, dy) = near.find(free).unwrap_or((15, -15));
-        let at = (x + dx, y + dy);
-        let style = TextStyle::from((FAMILY, 17)).pos(Pos::new(HPos::Center, VPos::Center));
-        root.draw(&Text::new(number.to_string(), at, style))?;
-        taken.push(at);
+        let place = places.clone().find(is_free).unwrap_or((x + 12, y - NAME.0 / 2));
+        let style = TextStyle::from((FAMILY, 14)).pos(Pos::new(HPos::Left, VPos::Top));
+        area.draw(&Text::new(point.name.clone(), place, style))?;
+        if (place.1 + NAME.0 / 2 - y).abs() > 12 {
+            let near = if place.0 > x { place.0 - 2 } else { place.0 + long + 2 };
+            let line = [(x, y), (near, place.1 + NAME.0 / 2)];
+            area.draw(&PathElement::new(line, GREY.mix(0.5).stroke_width(1)))?;
+        }
+        taken.push(box_at(place));
     }
-    if table.rows.iter().any(|row| !row.shift_mm().is_finite()) {
-        let at = chart.backend_coord(&(x0, top));
-        let style = TextStyle::from((FAMILY, 13)).color(&RGBColor(90, 90, 90));
-        root.draw(&Text::new("more than one box in twenty lost", (at.0 + 8, at.1 - 22), style))?;
-    }
-    write_key(&key, &front, &colours)
+    Ok(())
 }
 
 /// A number of an axis: 1, 2 and 5 times a power of ten, as others would stand on each other.
@@ -133,7 +242,7 @@ fn tick(value: &f64) -> String {
     }
 }
 
-/// A circle for the CPU, a triangle for an adapter.
+/// A circle for the CPU, a triangle for an adapter; with a ring round it where something is left out.
 fn symbol<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     row: &Measured,
@@ -143,11 +252,14 @@ fn symbol<DB: DrawingBackend>(
 where
     DB::ErrorType: 'static,
 {
-    let corners = [(0, -8), (7, 5), (-7, 5), (0, -8)].map(|(dx, dy)| (at.0 + dx, at.1 + dy));
+    let corners = [(0, -7), (6, 4), (-6, 4), (0, -7)].map(|(dx, dy)| (at.0 + dx, at.1 + dy));
     match (row.setup.device.as_str(), style.filled) {
-        ("cpu", _) => area.draw(&Circle::new(at, 6, style))?,
+        ("cpu", _) => area.draw(&Circle::new(at, 5, style))?,
         (_, true) => area.draw(&Polygon::new(corners, style))?,
         (_, false) => area.draw(&PathElement::new(corners, style))?,
+    }
+    if !row.setup.leave_out.is_empty() {
+        area.draw(&Circle::new(at, 9, style.color.stroke_width(1)))?;
     }
     Ok(())
 }
@@ -181,52 +293,35 @@ impl Colours {
     }
 }
 
-/// What each point of the front is, and how symbols are read.
+/// How symbols are read.
 fn write_key<DB: DrawingBackend>(
     key: &DrawingArea<DB, Shift>,
-    front: &[&Measured],
     colours: &Colours,
 ) -> Result<(), Box<dyn Error>>
 where
     DB::ErrorType: 'static,
 {
-    let style = TextStyle::from((FAMILY, 16));
+    let style = TextStyle::from((FAMILY, 15));
     let mut x = 24;
     for network in &colours.networks {
         let colour = colours.colour(network);
-        key.draw(&Rectangle::new([(x, 5), (x + 12, 17)], colour.filled()))?;
-        key.draw(&Text::new(network.clone(), (x + 20, 2), style.clone()))?;
+        key.draw(&Rectangle::new([(x, 8), (x + 12, 20)], colour.filled()))?;
+        key.draw(&Text::new(network.clone(), (x + 20, 5), style.clone()))?;
         x += 60 + 9 * network.chars().count() as i32;
     }
-    let text = "Circles: CPU; triangles: the adapter. Hollow: the network's input in another size than its own.";
-    key.draw(&Text::new(text, (x, 2), style.clone()))?;
-    let text = "On the line (the Pareto front) nothing else is both faster and nearer to the base:";
-    key.draw(&Text::new(text, (24, 2 + LINE as i32), style.clone()))?;
-    for (at, row) in (2..).zip(front) {
-        let y = (at as u32 * LINE) as i32;
-        let at = at - 1;
-        symbol(key, row, (36, y + 9), colours.style(row))?;
-        let lost = match row.shift.lost {
-            0 => String::new(),
-            lost => format!(", {lost} of {} boxes lost", row.shift.boxes),
-        };
-        let text = format!(
-            "{at}   {}: {:.1} ms, {:.5} mm{lost}",
-            row.setup.name(),
-            row.wall_ms.median,
-            row.shift_mm()
-        );
-        key.draw(&Text::new(text, (56, y), style.clone()))?;
-    }
-    Ok(())
+    let text = "Circles: CPU; triangles: the adapter. Hollow: another input size. A ring: something is left out.";
+    key.draw(&Text::new(text, (x, 5), style.clone()))?;
+    let text = "On the line (the Pareto front) nothing else is both faster and better; vertical lines are 95 % intervals.";
+    Ok(key.draw(&Text::new(text, (24, 32), style))?)
 }
 
 #[cfg(test)]
 mod tests {
-    use smr_gpu::evaluation::tradeoff::{Setup, Shift as Moved, Spread};
+    use smr_gpu::evaluation::tradeoff::{Setup, Shift as Moved, Spread, StageError};
 
     use super::*;
 
+    /// A setup that finds centres to `mm`, and loses as much of the overlap as half that.
     fn row(device: &str, ms: f64, mm: f64) -> Measured {
         let spread = |v| Spread { median: v, percentile_95: v, worst: v };
         let setup = Setup {
@@ -236,6 +331,7 @@ mod tests {
             kernels: vec![],
             batch: 1,
             precision: Default::default(),
+            leave_out: vec![],
         };
         Measured {
             setup,
@@ -243,8 +339,14 @@ mod tests {
             device_ms: None,
             peak_bytes: None,
             stages: vec![],
-            shift: Moved { mm: Some(spread(mm)), ..Moved::default() },
-            quality: None,
+            shift: Moved::default(),
+            quality: Some(Quality {
+                iou: 1.0 - (mm / 2.0).min(0.9),
+                ap50: 0.9,
+                center_error_mm: mm,
+                iou_95: None,
+                center_error_95_mm: Some([mm / 1.5, mm * 1.5]),
+            }),
         }
     }
 
@@ -262,31 +364,42 @@ mod tests {
         assert_eq!(tick(&0.000_009_999_999_999_999), "1e-5");
     }
 
-    #[test]
-    fn every_point_is_drawn_whatever_its_shift() {
+    fn table(rows: Vec<Measured>) -> Table {
         let base = row("cpu", 1.0, 0.0).setup;
-        let table = |rows| Table {
-            place: None,
-            weights: vec![],
-            pictures: 3,
-            stopped: false,
-            base: base.clone(),
-            rows,
-        };
-        // A circle of radius 6 has about 113 pixels; it is in the plot and, on the front, in the key, where
-        // its network's colour is a square of 13.
-        let one = count(&table(vec![row("cpu", 10.0, 0.0)]), COLOURS[0]);
-        assert!((320..460).contains(&one), "{one}");
-        let rows =
-            vec![row("cpu", 10.0, 0.01), row("gpu", 200.0, 1e-5), row("cpu", 3.0, f64::INFINITY)];
+        Table { place: None, weights: vec![], pictures: 3, stopped: false, base, rows }
+    }
+
+    #[test]
+    fn every_point_is_drawn() {
+        // A circle of radius 5 has about 79 pixels, the key's square 169; a point is in two panels.
+        let one = count(&table(vec![row("cpu", 10.0, 0.1)]), COLOURS[0]);
+        assert!((240..420).contains(&one), "{one}");
+        let rows = vec![row("cpu", 10.0, 0.1), row("gpu", 200.0, 0.05), row("cpu", 3.0, 0.5)];
         let three = count(&table(rows), COLOURS[0]);
-        assert!(three > one + 250, "{three}");
+        assert!(three > one + 200, "{three}");
         assert_eq!(count(&table(vec![]), COLOURS[0]), 0);
-        let svg = draw(&table(vec![row("gpu", 5.0, 0.5)])).expect("a plot").svg;
-        let svg = String::from_utf8(svg).expect("text");
-        assert!(
-            svg.contains("<polygon") && svg.contains("large, gpu: 5.0 ms, 0.50000 mm"),
-            "{svg}"
-        );
+    }
+
+    /// Each is named beside its point on the front, and in how it rounds; what finds nothing has no centre.
+    #[test]
+    fn panels_show_what_there_is_to_say() {
+        let mut rows = vec![row("cpu", 10.0, 0.1), row("gpu", 20.0, 0.2)];
+        rows[1].stages =
+            vec![StageError { stage: "conv1".into(), relative_l2: 2e-6, largest: 0.1 }];
+        let mut lost = row("cpu", 1.0, f64::INFINITY);
+        lost.setup.size = Some(32);
+        rows.push(lost);
+        let table = table(rows);
+        let panels = panels(&table);
+        let names =
+            |at: usize| panels[at].points.iter().map(|p| p.name.as_str()).collect::<Vec<_>>();
+        assert_eq!(panels.len(), 3);
+        assert_eq!(names(0), ["large", "large, gpu", "large at 32 px"]);
+        assert_eq!(names(1), ["large", "large, gpu"]);
+        assert_eq!(names(2), ["gpu"]);
+        let svg = String::from_utf8(draw(&table).expect("a plot").svg).expect("text");
+        // The adapter is slower and worse.
+        assert!(svg.contains("large at 32 px") && !svg.contains("large, gpu"), "{svg}");
+        assert!(svg.contains("<polygon") && svg.contains("rounding of large against f64"), "{svg}");
     }
 }

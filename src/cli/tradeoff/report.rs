@@ -6,11 +6,6 @@ use smr_gpu::evaluation::tradeoff::{Measured, Spread, Table};
 
 use super::super::output::count;
 
-/// The largest relative error of a stage.
-fn stage_error(row: &Measured) -> Option<f64> {
-    row.stages.iter().map(|s| s.relative_l2).reduce(f64::max)
-}
-
 /// A Markdown table, those on the front first, then the others by time.
 pub(super) fn markdown(table: &Table) -> String {
     let number = |value: Option<f64>, digits: usize| match value {
@@ -55,7 +50,7 @@ pub(super) fn markdown(table: &Table) -> String {
             spread(Some(row.wall_ms), 1),
             number(row.device_ms.map(|s| s.median), 1),
             number(row.peak_bytes.map(|bytes| bytes as f64 / 1e6), 0),
-            stage_error(row).map_or("-".into(), |e| format!("{e:.1e}")),
+            row.rounding().map_or("-".into(), |e| format!("{e:.1e}")),
             spread(row.shift.mm, 4),
             number(row.shift.score.map(|s| s.worst), 4),
             row.shift.lost,
@@ -71,7 +66,7 @@ pub(super) fn markdown(table: &Table) -> String {
 /// All figures but those of single stages, a line a setup; empty where there is none.
 pub(super) fn csv(table: &Table) -> String {
     let mut text = String::from(
-        "weights,size,device,kernels,batch,precision,wall_ms_median,wall_ms_95,wall_ms_worst,device_ms_median,\
+        "weights,size,leave_out,device,kernels,batch,precision,wall_ms_median,wall_ms_95,wall_ms_worst,device_ms_median,\
          peak_bytes,stage_relative_l2,shift_mm_median,shift_mm_95,shift_mm_worst,score_shift_median,\
          score_shift_95,score_shift_worst,boxes,lost,gained,iou,ap50,center_error_mm,front\n",
     );
@@ -85,6 +80,7 @@ pub(super) fn csv(table: &Table) -> String {
         let mut cells = vec![
             quoted(&setup.weights),
             setup.size.map_or(String::new(), |size| size.to_string()),
+            setup.leave_out.iter().map(|saving| saving.name()).collect::<Vec<_>>().join("+"),
             quoted(&setup.device),
             quoted(&setup.kernels.join("+")),
             setup.batch.to_string(),
@@ -93,7 +89,7 @@ pub(super) fn csv(table: &Table) -> String {
         cells.extend(spread(Some(row.wall_ms)));
         cells.push(number(row.device_ms.map(|s| s.median)));
         cells.push(row.peak_bytes.map_or(String::new(), |bytes| bytes.to_string()));
-        cells.push(number(stage_error(row)));
+        cells.push(number(row.rounding()));
         cells.extend(spread(shift.mm));
         cells.extend(spread(shift.score));
         cells.extend([shift.boxes, shift.lost, shift.gained].map(|n| n.to_string()));

@@ -8,7 +8,7 @@ use smr_gpu::engine::lower::KernelChoice;
 use smr_gpu::engine::tuned::Place;
 use smr_gpu::evaluation::tradeoff::{Measured, Setup, Table, digest};
 use smr_gpu::smr::Catalog;
-use smr_gpu::{Config, Device, Precision, WeightSource};
+use smr_gpu::{Config, Device, Precision, Saving, Savings, WeightSource};
 
 use super::super::detector::open_gpu;
 use super::super::exit::Failure;
@@ -16,6 +16,12 @@ use super::super::exit::Failure;
 /// Families of kernels that are measured beside the default kernels.
 const FAMILIES: [&[&str]; 3] =
     [&["conv2d/direct", "conv2d/split"], &["conv2d/winograd"], &["conv2d/planar", "linear/planar"]];
+/// What is left out, beside nothing: the default, what halves it again, and all.
+const SAVINGS: [&[Saving]; 3] = [
+    &[Saving::Contact, Saving::Regions],
+    &[Saving::Contact, Saving::Regions, Saving::Scales],
+    &Saving::ALL,
+];
 /// Pictures at a time, beside one.
 pub(super) const BATCH: usize = 4;
 /// Combinations that are measured at most.
@@ -56,12 +62,21 @@ impl Plan {
             kernels: Vec::new(),
             batch: 1,
             precision: Precision::F32,
+            leave_out: Vec::new(),
         };
         let mut single = vec![base.clone()];
         single.extend(
             weights[1..].iter().map(|(w, ..)| Setup { weights: w.clone(), ..base.clone() }),
         );
         single.extend(sizes.iter().map(|size| Setup { size: Some(*size), ..base.clone() }));
+        for savings in SAVINGS {
+            let networks = weights.iter().map(|(w, ..)| w.clone());
+            single.extend(networks.map(|weights| Setup {
+                weights,
+                leave_out: savings.to_vec(),
+                ..base.clone()
+            }));
+        }
         let networks = single.clone();
         if pictures >= BATCH {
             single.push(Setup { batch: BATCH, ..base.clone() });
@@ -108,6 +123,7 @@ impl Plan {
                         kernels,
                         batch: c.batch,
                         precision,
+                        leave_out: b.leave_out.clone(),
                     });
                 }
             }
@@ -183,9 +199,7 @@ pub(in crate::cli) fn configured(
     config.device = setup.device.parse::<Device>()?;
     config.kernels = KernelChoice { forced: setup.kernels.clone(), ..KernelChoice::default() };
     config.batch = setup.batch;
-    // What a table says of errors is of whole pictures and all scales: parts move boxes, too.
-    config.savings.regions = false;
-    config.savings.scales = false;
+    config.savings = Savings::of(&setup.leave_out);
     let gpu = open_gpu(&config.device)?;
     Ok((config, gpu.map(|gpu| Place::of(&gpu))))
 }
@@ -211,16 +225,16 @@ mod tests {
         }
     }
 
-    /// Two networks and six sizes on the CPU alone are eight setups and a batch; an adapter adds twelve.
+    /// Two networks, six sizes and three ways to leave out on the CPU alone are fourteen setups and a batch.
     #[test]
     fn enough_is_measured_and_nothing_twice() {
         let weights = ["large", "small"]
             .map(|w| (w.to_owned(), WeightSource::File("gone".into()), String::new()));
         let sizes = [160, 192, 224, 256, 288, 384];
         // Three pictures are no four at a time.
-        assert_eq!(Plan::new(&weights, &sizes, None, 3).single.len(), 8);
+        assert_eq!(Plan::new(&weights, &sizes, None, 3).single.len(), 14);
         let plan = Plan::new(&weights, &sizes, None, 4);
-        assert_eq!(plan.single.len(), 9);
+        assert_eq!(plan.single.len(), 15);
         assert!(plan.single.iter().all(|s| s.device == "cpu" && s.kernels.is_empty()));
         let time = |s: &Setup| match s.weights == "small" {
             true => 1.0,

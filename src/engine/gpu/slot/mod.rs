@@ -1,47 +1,29 @@
 //! A [`Slot`]: what one run of a program needs for itself, so that several can be in flight.
 
+mod encode;
+mod output;
+
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::task::Waker;
-use std::time::Duration;
 
 use web_time::Instant;
 
 use crate::engine::gpu::arena::Arena;
 use crate::engine::gpu::context::Gpu;
 use crate::engine::gpu::deadline::Deadline;
-use crate::engine::gpu::faults::{Call, Fault};
 use crate::engine::gpu::landing::Landing;
 use crate::engine::gpu::memory::Resource;
 use crate::engine::gpu::poison::Poison;
-use crate::engine::gpu::program::{
-    GUARD_BYTES, Place, Profile, Program, ProgramOptions, Step, StepGrid,
-};
-use crate::engine::graph::{Graph, StageTime, TensorId};
-use crate::engine::kernels::{Layout, Quads, Role, Storage};
+use crate::engine::gpu::program::{GUARD_BYTES, Place, Profile, Program, ProgramOptions, Step};
+use crate::engine::graph::{Graph, TensorId};
+use crate::engine::kernels::Role;
 use crate::engine::lower::{KernelChoice, Request, lower};
 use crate::engine::precision::Precision;
-use crate::engine::shape::DType;
-use crate::engine::tensor::{Tensor, Value};
+use crate::engine::tensor::Value;
 use crate::error::{Error, Result};
 
-/// What a run gives back.
-#[derive(Clone, Debug)]
-pub struct RunOutput {
-    /// For each picture, the values of the graph's outputs and of the tensors that were kept.
-    pub values: Vec<HashMap<TensorId, Value>>,
-    /// Device time by stage, or by command; empty where the device has no timestamps.
-    pub stages: Vec<StageTime>,
-    /// From the first byte uploaded to the last read back.
-    pub wall: Duration,
-}
-
-impl RunOutput {
-    /// The values of the first picture.
-    pub fn first(&mut self) -> HashMap<TensorId, Value> {
-        if self.values.is_empty() { HashMap::new() } else { self.values.swap_remove(0) }
-    }
-}
+pub use output::RunOutput;
 
 /// The values that a run takes, by the graph's inputs.
 pub type Inputs<'a> = [(TensorId, &'a Value)];
@@ -400,174 +382,6 @@ impl Slot {
         }
     }
 
-    /// Makes the bind groups that are missing.
-    fn bind(&mut self) {
-        let program = self.program.clone();
-        for (index, step) in program.steps.iter().enumerate() {
-            let Step::Dispatch { pipeline, bound, uniform, picture, .. } = step else { continue };
-            if self.groups[index].is_some() {
-                continue;
-            }
-            let resources: Vec<Option<Resource>> =
-                bound.iter().map(|b| self.resource(b.place, picture.unwrap_or(0))).collect();
-            let mut entries = Vec::with_capacity(bound.len() + 1);
-            for (bound, resource) in bound.iter().zip(&resources) {
-                let resource = match resource {
-                    Some(Resource::Buffer(buffer)) => {
-                        let (offset, size) = match bound.part {
-                            Some((offset, bytes)) => (offset, std::num::NonZeroU64::new(bytes)),
-                            None => (0, None),
-                        };
-                        let buffer = wgpu::BufferBinding { buffer, offset, size };
-                        wgpu::BindingResource::Buffer(buffer)
-                    }
-                    Some(Resource::Texture(_, view)) => wgpu::BindingResource::TextureView(view),
-                    None => continue,
-                };
-                entries.push(wgpu::BindGroupEntry { binding: bound.binding, resource });
-            }
-            if let Some((binding, offset, bytes)) = uniform {
-                entries.push(wgpu::BindGroupEntry {
-                    binding: *binding,
-                    resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-                        buffer: &program.uniforms,
-                        offset: *offset,
-                        size: std::num::NonZeroU64::new(*bytes),
-                    }),
-                });
-            }
-            if program.gpu.device.fault(Call::BindGroup) == Some(Fault::Invalid) {
-                entries.clear();
-            }
-            let group = program.gpu.device.handle.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some(&pipeline.label),
-                layout: &pipeline.layout,
-                entries: &entries,
-            });
-            self.groups[index] = Some(group);
-        }
-    }
-
-    fn encode(&self, staging: &wgpu::Buffer) -> wgpu::CommandBuffer {
-        let program = &self.program;
-        let mut encoder = program.gpu.device.handle.create_command_encoder(&Default::default());
-        for (index, (_, range)) in program.stages.iter().enumerate() {
-            // Passes end at copies, and where each command is timed.
-            let apart = program.options.profile == Profile::Commands;
-            let is_copy = |at: usize| matches!(program.steps[at], Step::Copy { .. });
-            let mut runs: Vec<std::ops::Range<usize>> = Vec::new();
-            for at in range.clone() {
-                match runs.last_mut() {
-                    Some(run) if !apart && !is_copy(at) && !is_copy(run.start) => run.end = at + 1,
-                    _ => runs.push(at..at + 1),
-                }
-            }
-            let passes: Vec<usize> = (0..runs.len()).filter(|r| !is_copy(runs[*r].start)).collect();
-            for (r, run) in runs.iter().enumerate() {
-                let (first, last) = match program.options.profile {
-                    Profile::Off => (None, None),
-                    Profile::Commands => {
-                        let at = run.start as u32 * 2;
-                        (Some(at), Some(at + 1))
-                    }
-                    Profile::Stages => {
-                        let at = index as u32 * 2;
-                        let ends = |end: Option<&usize>| end == Some(&r);
-                        (ends(passes.first()).then_some(at), ends(passes.last()).then_some(at + 1))
-                    }
-                };
-                if let Step::Copy { from, to, width, height, row_bytes } = &program.steps[run.start]
-                {
-                    // Not every adapter has timestamps between passes: those of a copy are written by an
-                    // empty one before it, and one behind it.
-                    if apart {
-                        self.begin_pass(&mut encoder, first, None);
-                    }
-                    self.copy(&mut encoder, (*from, *to), (*width, *height), *row_bytes);
-                    if apart {
-                        self.begin_pass(&mut encoder, None, last);
-                    }
-                    continue;
-                }
-                let mut pass = self.begin_pass(&mut encoder, first, last);
-                for at in run.clone() {
-                    self.dispatch(&mut pass, at);
-                }
-            }
-        }
-        self.read_back(&mut encoder, staging);
-        encoder.finish()
-    }
-
-    /// Begins a pass that writes these timestamps.
-    fn begin_pass<'a>(
-        &self,
-        encoder: &'a mut wgpu::CommandEncoder,
-        first: Option<u32>,
-        last: Option<u32>,
-    ) -> wgpu::ComputePass<'a> {
-        let timed = self.timestamps.as_ref().filter(|_| first.is_some() || last.is_some());
-        encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-            label: None,
-            timestamp_writes: timed.map(|t| wgpu::ComputePassTimestampWrites {
-                query_set: &t.set,
-                beginning_of_pass_write_index: first,
-                end_of_pass_write_index: last,
-            }),
-        })
-    }
-
-    fn dispatch(&self, pass: &mut wgpu::ComputePass, at: usize) {
-        let Step::Dispatch { pipeline, grid, .. } = &self.program.steps[at] else { return };
-        pass.set_pipeline(&pipeline.pipeline);
-        pass.set_bind_group(0, self.groups[at].as_ref(), &[]);
-        match grid {
-            StepGrid::Direct([x, y, z]) => pass.dispatch_workgroups(*x, *y, *z),
-            StepGrid::Indirect(place, offset) => {
-                if let Some(Resource::Buffer(buffer)) = self.resource(*place, 0) {
-                    pass.dispatch_workgroups_indirect(&buffer, *offset);
-                }
-            }
-        }
-    }
-
-    fn copy(
-        &self,
-        encoder: &mut wgpu::CommandEncoder,
-        (from, to): (Place, Place),
-        (width, height): (u32, u32),
-        row_bytes: u32,
-    ) {
-        let (from, to) = (self.resource(from, 0), self.resource(to, 0));
-        let (Some(Resource::Buffer(from)), Some(Resource::Texture(to, _))) = (from, to) else {
-            return;
-        };
-        let layout = wgpu::TexelCopyBufferLayout {
-            offset: 0,
-            bytes_per_row: Some(row_bytes),
-            rows_per_image: Some(height),
-        };
-        let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
-        let from = wgpu::TexelCopyBufferInfo { buffer: &from, layout };
-        encoder.copy_buffer_to_texture(from, to.as_image_copy(), size);
-    }
-
-    fn read_back(&self, encoder: &mut wgpu::CommandEncoder, staging: &wgpu::Buffer) {
-        let program = &self.program;
-        let guard = program.guard();
-        for output in &program.outputs {
-            let Storage::Buffer { bytes } = program.tensors[output.tensor.0].storage else {
-                continue;
-            };
-            let Some(Resource::Buffer(buffer)) = self.resource(output.place, 0) else { continue };
-            encoder.copy_buffer_to_buffer(&buffer, 0, staging, output.offset, bytes + guard);
-        }
-        if let Some(t) = &self.timestamps {
-            encoder.resolve_query_set(&t.set, 0..(t.resolve.size() / 8) as u32, &t.resolve, 0);
-            encoder.copy_buffer_to_buffer(&t.resolve, 0, staging, t.offset, t.resolve.size());
-        }
-    }
-
     /// Waits for the run that was submitted, and reads its outputs. After [`Error::Timeout`] the run
     /// is still under way, and [`Slot::recover`] waits for its end.
     ///
@@ -597,85 +411,6 @@ impl Slot {
             _ => self.unmap(),
         }
         output
-    }
-
-    fn read(&self, landing: &Landing) -> Result<RunOutput> {
-        let refused = |message: String| Error::Driver {
-            stage: "reading what the network gave".into(),
-            message,
-        };
-        let staging = self.staging.as_ref().ok_or_else(|| refused("it was given up".into()))?;
-        let slice = staging.slice(..self.staging_bytes);
-        let bytes = slice.get_mapped_range().map_err(|e| refused(e.to_string()))?;
-        let values = (0..self.program.batch).map(|picture| self.collect(&bytes, picture));
-        let values = values.collect::<Result<_>>()?;
-        let stages = self.times(&self.program.gpu, &bytes);
-        Ok(RunOutput { values, stages, wall: landing.start.elapsed() })
-    }
-
-    fn collect(&self, bytes: &[u8], picture: u32) -> Result<HashMap<TensorId, Value>> {
-        let program = &self.program;
-        let mut values = HashMap::new();
-        for output in &program.outputs {
-            let info = &program.tensors[output.tensor.0];
-            let Storage::Buffer { bytes: all } = info.storage else { continue };
-            let start = output.offset as usize;
-            if program.options.guard {
-                let end = start + all as usize;
-                let behind: Vec<u32> =
-                    bytemuck::pod_collect_to_vec(&bytes[end..end + GUARD_BYTES as usize]);
-                let first = all as usize / 4;
-                let word = |at: usize| self.poison.word(output.tensor, first + at);
-                if let Some(at) = (0..behind.len()).find(|at| behind[*at] != word(*at)) {
-                    return Err(Error::tensor(
-                        "run",
-                        &info.name,
-                        "no write behind its end",
-                        format!("one {at} elements behind"),
-                    ));
-                }
-            }
-            let Some(id) = output.id else { continue };
-            let start = start + (u64::from(picture) * info.stride) as usize;
-            let value = match info.layout {
-                Layout::Planar => {
-                    let end = start + info.spec.bytes() as usize;
-                    Value::from_bytes(&info.spec, &bytes[start..end])?
-                }
-                Layout::Quads | Layout::Texture => {
-                    let (caps, batch) = (program.gpu.caps(), program.batch);
-                    let quads = Quads::of(&info.spec, program.precision(), batch, caps);
-                    let wrong = || Error::tensor("run", &info.name, "a map [C, H, W]", &info.spec);
-                    let quads =
-                        quads.filter(|_| info.spec.dtype == DType::F32).ok_or_else(wrong)?;
-                    let end = start + info.stride as usize;
-                    let texels = info.precision.decode(&bytes[start..end]);
-                    Tensor::new(info.spec.shape.clone(), quads.unpack(&texels))?.into()
-                }
-            };
-            values.insert(id, value);
-        }
-        Ok(values)
-    }
-
-    fn times(&self, gpu: &Gpu, bytes: &[u8]) -> Vec<StageTime> {
-        let Some(t) = &self.timestamps else { return Vec::new() };
-        let start = t.offset as usize;
-        let ticks: Vec<u64> =
-            bytemuck::pod_collect_to_vec(&bytes[start..start + t.resolve.size() as usize]);
-        let period = f64::from(gpu.device.queue.get_timestamp_period());
-        let names: Vec<String> = match self.program.options.profile {
-            Profile::Commands => self.program.steps.iter().map(Step::name).collect(),
-            _ => self.program.stages.iter().map(|(name, _)| name.clone()).collect(),
-        };
-        names
-            .into_iter()
-            .zip(ticks.chunks_exact(2))
-            .map(|(stage, t)| StageTime {
-                stage,
-                time: Duration::from_nanos((t[1].saturating_sub(t[0]) as f64 * period) as u64),
-            })
-            .collect()
     }
 }
 

@@ -382,6 +382,19 @@ def real_presses(lab: Laboratory) -> str:
     return f"{first_table}\n\n{table(['press', 'without', 'with'] * 4, rows)}\n\nSnaps found, without and with: {shares[0][1]} and {shares[1][1]}."
 
 
+def samples(lab: Laboratory) -> str:
+    """What the README's first command prints, and the pictures that it shows."""
+    command = ["detect", "samples/*.png", "--mm-per-pixel", "0.04"]
+    files = [path.relative_to(ROOT) for path in sorted((ROOT / "samples").glob("*.png"))]
+    drawn = lab.kept / "drawn"
+    program = [lab.options.smr_gpu, "detect", "--device", "cpu", "--weights", lab.weights("large"), "--mm-per-pixel", "0.04"]
+    text = output(*program, *files)
+    for sample, name, option in (("mixed", "detection", ["--exact"]), ("hooks", "left-out", [])):
+        output(*program, f"samples/{sample}.png", *option, "--save", drawn)
+        (ROOT / f"docs/images/{name}.png").write_bytes((drawn / f"{sample}.png").read_bytes())
+    return f"```text\n$ smr-gpu {' '.join(command)}\n{text.rstrip()}\n```"
+
+
 def summary(lab: Laboratory) -> str:
     took, rows = times(lab), []
     for network in NETWORKS:
@@ -395,6 +408,7 @@ def summary(lab: Laboratory) -> str:
 
 # What writes a table, and the file that it stands in.
 TABLES = {
+    "samples": (samples, "README.md"),
     "summary": (summary, "README.md"),
     "accuracy": (accuracy, "docs/results/accuracy.md"),
     "held-out": (held_out, "weights/README.md"),
@@ -425,6 +439,9 @@ def main() -> int:
     parser.add_argument("--again", action="store_true")
     parser.add_argument("--check", action="store_true")
     options = parser.parse_args()
+    # Commands run in the repository's root.
+    for name in ("smr_gpu", "held_out", "other", "presses", "keep"):
+        setattr(options, name, getattr(options, name).resolve())
     lab, stale = Laboratory(options), []
     for at, name in enumerate(options.only):
         make, path = TABLES[name]
@@ -434,7 +451,8 @@ def main() -> int:
         if not between.search(text):
             sys.exit(f"{path}: expected <!-- report: {name} --> and <!-- end -->")
         body = f"\n{make(lab)}\n\n"
-        new = between.sub(lambda found: f"{found[1]}{body}{lab.provenance()}\n{found[2]}", text)
+        said = "" if name == "samples" else f"{lab.provenance()}\n"
+        new = between.sub(lambda found: f"{found[1]}{body}{said}{found[2]}", text)
         shown_now = between.search(text)
         if options.check and shown_now and body.strip() not in shown_now[0]:
             stale.append(name)

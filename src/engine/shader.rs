@@ -144,6 +144,8 @@ pub struct Reflection {
     pub entries: Vec<EntryReflection>,
     /// Size of `Params` and offset of each member, if the shader has one.
     pub params: Option<(u32, Vec<(String, u32)>)>,
+    /// The text, parsed.
+    pub module: naga::Module,
 }
 
 /// A shader's text followed by the files that it includes.
@@ -323,7 +325,7 @@ pub(crate) fn reflect_with(
             reads_grid: reads_grid(&module, entry),
         });
     }
-    Ok(Reflection { text: expanded.text, entries, params })
+    Ok(Reflection { text: expanded.text, entries, params, module })
 }
 
 fn reads_grid(module: &naga::Module, entry: &naga::EntryPoint) -> bool {

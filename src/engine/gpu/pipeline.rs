@@ -1,5 +1,7 @@
 //! Shaders compiled to pipelines, each once a device.
 
+#[cfg(not(target_family = "wasm"))]
+use std::borrow::Cow;
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -10,7 +12,7 @@ use crate::engine::gpu::memory::{texture_format, uneven};
 use crate::engine::kernels::{Command, Dispatch, Recording};
 use crate::engine::lock::lock;
 use crate::engine::precision::Precision;
-use crate::engine::shader::{self, BindingKind, Variant};
+use crate::engine::shader::{self, BindingKind, EntryReflection, Variant};
 use crate::error::{Error, Result};
 
 /// What a binding of a shader that runs no workgroups holds: as much as its types have at least.
@@ -38,15 +40,18 @@ pub(super) struct Pipeline {
 #[derive(Debug)]
 struct Module {
     module: wgpu::ShaderModule,
-    reflection: shader::Reflection,
+    entries: Vec<EntryReflection>,
 }
+
+/// A module, once somebody has made it; whoever else wants it waits, for this one alone.
+type Making = Arc<Mutex<Option<Arc<Module>>>>;
 
 /// A device's shaders and pipelines so far.
 #[derive(Debug)]
 pub(super) struct Pipelines {
     /// Other texts for shader files.
     pub replacements: Vec<shader::Replacement>,
-    modules: Mutex<HashMap<(&'static str, Variant), Arc<Module>>>,
+    modules: Mutex<HashMap<(&'static str, Variant), Making>>,
     compiled: Mutex<HashMap<PipelineKey, Arc<Pipeline>>>,
 }
 
@@ -62,15 +67,18 @@ impl Pipelines {
         variant: &Variant,
     ) -> Result<Arc<Module>> {
         let key = (shader.stem, variant.clone());
-        let mut modules = lock(&self.modules);
-        if let Some(module) = modules.get(&key) {
+        let making = lock(&self.modules).entry(key).or_default().clone();
+        let mut made = lock(&making);
+        if let Some(module) = &*made {
             return Ok(module.clone());
         }
         let reflection = shader::reflect_with(shader, variant, &self.replacements)?;
-        let desc = wgpu::ShaderModuleDescriptor {
-            label: Some(shader.stem),
-            source: wgpu::ShaderSource::Wgsl(reflection.text.as_str().into()),
-        };
+        // What is parsed is not parsed again; a browser takes text alone.
+        #[cfg(not(target_family = "wasm"))]
+        let source = wgpu::ShaderSource::Naga(Cow::Owned(reflection.module));
+        #[cfg(target_family = "wasm")]
+        let source = wgpu::ShaderSource::Wgsl(reflection.text.into());
+        let desc = wgpu::ShaderModuleDescriptor { label: Some(shader.stem), source };
         let module = if device.options.bounds_checks {
             device.handle.create_shader_module(desc)
         } else {
@@ -83,8 +91,8 @@ impl Pipelines {
                     .create_shader_module_trusted(desc, wgpu::ShaderRuntimeChecks::unchecked())
             }
         };
-        let module = Arc::new(Module { module, reflection });
-        modules.insert(key, module.clone());
+        let module = Arc::new(Module { module, entries: reflection.entries });
+        *made = Some(module.clone());
         Ok(module)
     }
 
@@ -168,7 +176,7 @@ impl Pipelines {
     fn build(&self, device: &Device, dispatch: &Dispatch, label: &str) -> Result<Pipeline> {
         let shader = dispatch.shader;
         let module = self.module(device, shader, &dispatch.variant)?;
-        let entry = module.reflection.entries.iter().find(|e| e.name == dispatch.entry);
+        let entry = module.entries.iter().find(|e| e.name == dispatch.entry);
         let entry = entry.ok_or_else(|| Error::Shader {
             file: format!("{}.wgsl", shader.stem),
             line: 0,

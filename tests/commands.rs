@@ -13,10 +13,10 @@ mod program;
 use page::Page;
 use program::folder;
 
-/// What stands behind `sh` where a block needs what a test has not, and what runs it instead.
+/// What stands behind `sh` where a block needs what a test has not, and what that is.
 const ELSEWHERE: [(&str, &str); 4] = [
-    ("cargo", "tests/run.sh builds with cargo"),
-    ("ffmpeg", "tests/streams.rs has a stand-in for it"),
+    ("cargo", "a build"),
+    ("ffmpeg", "ffmpeg, for which tests/streams.rs has a stand-in"),
     ("python", "a Python with the training package"),
     ("hours", "what is measured for the tables of the results"),
 ];
@@ -110,7 +110,10 @@ fn the_blocks_of_the_documents_run() {
             }
             let mut command = Command::new("bash");
             command.args(["-euo", "pipefail", "-c", &block]).current_dir(home);
-            command.env("PATH", &path).env("SMR_GPU", env!("CARGO_BIN_EXE_smr-gpu"));
+            command
+                .env_remove("SMR_GPU_WEIGHTS")
+                .env("PATH", &path)
+                .env("SMR_GPU", env!("CARGO_BIN_EXE_smr-gpu"));
             for (name, folder) in [("XDG_DATA_HOME", "data"), ("SMR_GPU_CACHE", "cache")] {
                 command.env(name, home.join(folder));
             }

@@ -87,7 +87,10 @@ def digest(file: Path) -> str:
 
 
 def output(*command: str | Path) -> str:
-    return subprocess.run(list(map(str, command)), cwd=ROOT, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True).stdout
+    ran = subprocess.run(list(map(str, command)), cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    if ran.returncode:
+        sys.exit(f"{' '.join(map(str, command))}: status {ran.returncode}\n{ran.stderr}")
+    return ran.stdout
 
 
 class Laboratory:
@@ -97,12 +100,16 @@ class Laboratory:
         self.options = options
         self.kept: Path = options.keep
         self.kept.mkdir(parents=True, exist_ok=True)
-        self.ran = 0
+        # Asked once: what is written here makes the tree dirty.
+        self.commit = output("git", "describe", "--always", "--dirty", "--abbrev=12").strip()
+        # Pictures beside the tables, by their paths.
+        self.pictures: dict[str, bytes] = {}
 
     def weights(self, network: str) -> Path:
         return ROOT / "weights" / NETWORKS[network]
 
     def run(self, key: Sequence[str], command: Sequence[str | Path]) -> str:
+        key = [*key, digest(Path(command[0]))]
         file = self.kept / f"{hashlib.sha256('|'.join(key).encode()).hexdigest()[:24]}.txt"
         if not file.exists() or (self.options.again and file.stat().st_mtime < START):
             print("$", *command, file=sys.stderr)
@@ -110,7 +117,6 @@ class Laboratory:
             part = file.with_suffix(".part")
             part.write_text(text, encoding="utf-8")
             part.replace(file)
-            self.ran += 1
         return file.read_text(encoding="utf-8")
 
     def eval(self, network: str, data: Sequence[Path], *more: str) -> dict:
@@ -123,11 +129,10 @@ class Laboratory:
     def held_out(self, network: str, name: str, *more: str) -> dict:
         return self.eval(network, [self.options.held_out / name], *more)
 
-    def provenance(self) -> str:
+    def provenance(self, name: str) -> str:
         weights = ", ".join(f"{network} `{digest(self.weights(network))[:12]}`" for network in NETWORKS)
-        commit = output("git", "describe", "--always", "--dirty", "--abbrev=12").strip()
         some = f"; the first {self.options.limit} pictures of each set" if self.options.limit else ""
-        return f"Weights: {weights}. Commit {commit}, {date.today()}, {processor()}{some}."
+        return f"Weights: {weights}. Commit {self.commit}, {date.today()}, {processor()}{some}: `python tools/report.py --only {name}`"
 
 
 def processor() -> str:
@@ -135,6 +140,12 @@ def processor() -> str:
     info = Path("/proc/cpuinfo")
     names = re.findall(r"^model name\s*: (.*)$", info.read_text(), re.MULTILINE) if info.exists() else []
     return f"{os.cpu_count()} cores of {names[0] if names else platform.processor()}"
+
+
+def within(thirds: Sequence[dict]) -> float | None:
+    """The share of errors within their stated deviations, of thirds."""
+    boxes = sum(third["boxes"] for third in thirds)
+    return sum(third["within"] * third["boxes"] for third in thirds) / boxes if boxes else None
 
 
 def of_class(figures: dict, name: str) -> dict:
@@ -198,8 +209,7 @@ def calibration(lab: Laboratory) -> str:
     rows = []
     for network in NETWORKS:
         figures = lab.eval(network, sets)
-        within = figures["deviations"]
-        cells = [shown(sum(third["within"] * third["boxes"] for third in within[axis]) / sum(third["boxes"] for third in within[axis]), 0, 100) for axis in ("x_mm", "y_mm", "yaw_deg")]
+        cells = [shown(within(figures["deviations"][axis]), 0, 100) for axis in ("x_mm", "y_mm", "yaw_deg")]
         rows.append([network, shown(figures["reliability"]["expected_error"], 3), *cells])
     return table(["", "calibration error of scores", "within one deviation: x, %", "y, %", "yaw, %"], rows)
 
@@ -223,8 +233,7 @@ def light(lab: Laboratory) -> str:
         for network in NETWORKS:
             figures = lab.held_out(network, f"light-{side}")
             thirds = figures["deviations"]["x_mm"] + figures["deviations"]["y_mm"]
-            within = sum(third["within"] * third["boxes"] for third in thirds) / sum(third["boxes"] for third in thirds)
-            cells += [shown(figures["all"]["bias_to_light_mm"], 3), shown(within, 0, 100)]
+            cells += [shown(figures["all"]["bias_to_light_mm"], 3), shown(within(thirds), 0, 100)]
         rows.append([side, *cells])
     return table(["light from", *both(["bias towards it, mm", "within one deviation, %"])], rows)
 
@@ -328,19 +337,19 @@ def tradeoff(lab: Laboratory) -> str:
     limit = str(min(lab.options.limit or 40, 40))
     key = ["tradeoff", *(digest(lab.weights(network)) for network in NETWORKS), processor(), limit]
     text = lab.run(key, [lab.options.smr_gpu, "tradeoff", "--data", lab.options.held_out / "wide-mixed", "--out", out, "--limit", limit])
-    (ROOT / "docs/images/tradeoff.png").write_bytes((out / "tradeoff.png").read_bytes())
+    lab.pictures["docs/images/tradeoff.png"] = (out / "tradeoff.png").read_bytes()
     return f"![Error against run time: overlap, centres, rounding](../images/tradeoff.png)\n\n{text.strip().splitlines()[-1]}"
 
 
 def savings(lab: Laboratory) -> str:
     """What each saving costs and gains on the CPU."""
     sets = [lab.options.held_out / name for name in "plain-a plain-b wide-a wide-b wide-mixed bare screw clutter".split()]
-    limit = str(lab.options.limit or 100)
+    limit = str(min(lab.options.limit or 50, 50))
     ways = [argument for way in ("contact", "proposals", "scales", "default", "all") for argument in ("--way", way)]
     parts = []
     for network in NETWORKS:
         key = ["savings", digest(lab.weights(network)), processor(), limit, *(digest(folder / "annotations.json") for folder in sets)]
-        text = lab.run(key, [lab.options.smr_gpu.parent / "examples/savings", "--device", "cpu", "--once", "--weights", lab.weights(network), "--limit", limit, *ways, *sets])
+        text = lab.run(key, [lab.options.smr_gpu.parent / "examples/savings", "--device", "cpu", "--weights", lab.weights(network), "--limit", limit, *ways, *sets])
         parts.append(f"{network}:\n\n" + "\n\n".join(text.strip().split("\n\n")[:4]).replace(f"{lab.options.held_out}/", ""))
     return "\n\n".join(parts)
 
@@ -391,7 +400,7 @@ def samples(lab: Laboratory) -> str:
     text = output(*program, *files)
     for sample, name, option in (("mixed", "detection", ["--exact"]), ("hooks", "left-out", [])):
         output(*program, f"samples/{sample}.png", *option, "--save", drawn)
-        (ROOT / f"docs/images/{name}.png").write_bytes((drawn / f"{sample}.png").read_bytes())
+        lab.pictures[f"docs/images/{name}.png"] = (drawn / f"{sample}.png").read_bytes()
     return f"```text\n$ smr-gpu {' '.join(command)}\n{text.rstrip()}\n```"
 
 
@@ -448,16 +457,17 @@ def main() -> int:
         file = ROOT / path
         text = file.read_text(encoding="utf-8")
         between = re.compile(rf"(<!-- report: {name} -->\n).*?(<!-- end -->)", re.DOTALL)
-        if not between.search(text):
+        there = between.search(text)
+        if not there:
             sys.exit(f"{path}: expected <!-- report: {name} --> and <!-- end -->")
         body = f"\n{make(lab)}\n\n"
-        said = "" if name == "samples" else f"{lab.provenance()}\n"
-        new = between.sub(lambda found: f"{found[1]}{body}{said}{found[2]}", text)
-        shown_now = between.search(text)
-        if options.check and shown_now and body.strip() not in shown_now[0]:
+        said = "" if name == "samples" else f"{lab.provenance(name)}\n"
+        if not options.check:
+            file.write_text(between.sub(lambda found: f"{found[1]}{body}{said}{found[2]}", text), encoding="utf-8")
+            for picture, drawn in lab.pictures.items():
+                (ROOT / picture).write_bytes(drawn)
+        elif body.strip() not in there[0]:
             stale.append(name)
-        elif not options.check:
-            file.write_text(new, encoding="utf-8")
         share = (at + 1) / len(options.only)
         print(f"{name}: done, about {(time.time() - START) * (1 - share) / share / 60:.0f} min left", file=sys.stderr)
     if stale:

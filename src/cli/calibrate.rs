@@ -15,7 +15,7 @@ use super::exit::{Exit, Failure};
 use super::message::remark;
 use super::output::{count, folder_name, line};
 
-/// Shown below `--help`.
+/// Shown below the help.
 const EXAMPLES: &str = "\
 Examples:
   smr-gpu calibrate --presses presses --write mine.json

@@ -9,7 +9,7 @@ use super::exit::{Exit, Failure};
 use super::message::{remark, tell};
 use super::output::{json_line, line};
 
-/// Shown below `--help`.
+/// Shown below the help.
 const EXAMPLES: &str = "\
 Examples:
   smr-gpu check

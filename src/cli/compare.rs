@@ -14,7 +14,7 @@ use super::output::{count, json_line, line};
 use super::printable::printable;
 use super::source::{Source, column_width, expand_all};
 
-/// Shown below `--help`.
+/// Shown below the help.
 const EXAMPLES: &str = "\
 Examples:
   smr-gpu compare picture.png

@@ -24,7 +24,7 @@ use super::probe;
 /// What runs a command.
 #[derive(Debug, clap::Args)]
 pub(super) struct DeviceArgs {
-    /// What runs the network: `auto` (a hardware adapter if there is one, else the CPU), `gpu` (the best adapter,
+    /// What runs it: `auto` (a hardware adapter if there is one, else the CPU), `gpu` (the best adapter,
     /// including software renderers), an index of `smr-gpu devices`, a part of an adapter's name, `cpu`, or
     /// `reference` (the f64 reference, slow).
     #[arg(help_heading = "Device", long, default_value = "auto")]
@@ -36,7 +36,7 @@ pub(super) struct DeviceArgs {
 /// The adapter of a command that only a GPU can run.
 #[derive(Debug, clap::Args)]
 pub(super) struct AdapterArgs {
-    /// What runs the network: `auto` (the best adapter, including software renderers), an index of `smr-gpu
+    /// What runs it: `auto` (the best adapter, including software renderers), an index of `smr-gpu
     /// devices`, or a part of an adapter's name.
     #[arg(help_heading = "Device", long, default_value = "auto", value_name = "auto|INDEX|NAME")]
     #[arg(value_parser = known::<Device>, allow_negative_numbers = true)]

@@ -5,7 +5,7 @@ use super::exit::{Exit, Failure};
 use super::output::{json_line, line};
 use super::probe;
 
-/// Shown below `--help`.
+/// Shown below the help.
 const EXAMPLES: &str = "\
 Examples:
   smr-gpu devices

@@ -13,7 +13,7 @@ use super::output::text_out;
 /// Longest file that is read, in bytes.
 const MAX_BYTES: u64 = 1 << 32;
 
-/// Shown below `--help`.
+/// Shown below the help.
 const EXAMPLES: &str = "\
 Examples:
   smr-gpu merge one.csv two.csv three.csv > all.csv

@@ -18,11 +18,11 @@ use super::tensors;
 /// Largest output of an operation; a device's limits are below it.
 const MAX_OUTPUT_BYTES: u64 = 256 << 20;
 
-/// Shown below `--help`.
+/// Shown below the help.
 const EXAMPLES: &str = "\
 Examples:
   smr-gpu op --list
-  smr-gpu op nms in.safetensors out.safetensors --param threshold=0.5
+  smr-gpu op nms in.safetensors out.safetensors --param iou_threshold=0.5
   smr-gpu op conv2d in.safetensors out.safetensors --device reference";
 
 /// Run one operation on tensors from a file

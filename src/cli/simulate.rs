@@ -22,7 +22,7 @@ use super::output;
 use super::parts::{self, CadArgs, PartArg, part};
 use super::preview;
 
-/// Shown below `--help`.
+/// Shown below the help.
 const EXAMPLES: &str = "\
 Examples:
   smr-gpu simulate --out train --count 1000 --seed 1 --conditions wide

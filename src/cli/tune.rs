@@ -14,7 +14,7 @@ use super::folders::{self, CACHE_VARIABLE};
 use super::message::remark;
 use super::output::{self, line};
 
-/// Shown below `--help`.
+/// Shown below the help.
 const EXAMPLES: &str = "\
 Examples:
   smr-gpu tune
@@ -29,7 +29,7 @@ Examples:
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Args {
-    /// Time limit in seconds; a measurement that has begun is ended.
+    /// Time limit in seconds; a measurement that has begun is finished.
     #[arg(long, default_value_t = 10, value_name = "SECONDS")]
     #[arg(value_parser = clap::value_parser!(u64).range(1..=3600))]
     #[arg(allow_negative_numbers = true)]

@@ -16,7 +16,7 @@ use super::message::tell;
 use super::names::shown;
 use super::output::{json_line, line};
 
-/// Shown below `--help`.
+/// Shown below the help.
 const EXAMPLES: &str = "\
 Examples:
   smr-gpu weights

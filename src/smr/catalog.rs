@@ -33,12 +33,12 @@ pub const PUBLISHED: [Published; 2] = [
     Published {
         name: "large",
         file: "smrnet.safetensors",
-        sha256: "db3e3c28cc0923be3ae181288b1edd0844a71aa38aeb3183ba7d52d5d9a592be",
+        sha256: "f47ad4c4920b971eed9109f6897ea2aec3110af102b6f2b9a2342536fa1e1278",
     },
     Published {
         name: "small",
         file: "smrnet-s.safetensors",
-        sha256: "7b20148628f3cf9813ae6c2d938bd84cd0702f6736b63d6e2395d1af52c300a8",
+        sha256: "325ab167b83af56c96e4fcfd14a78a7ee1f70b0a394114b6f2b2ad20ad3d377f",
     },
 ];
 

@@ -30,7 +30,7 @@ use files::{FileArgs, Files};
 use record::Record;
 use table::Table;
 
-/// Shown below `--help`.
+/// Shown below the help.
 const EXAMPLES: &str = "\
 Examples:
   smr-gpu detect picture.png
@@ -106,8 +106,9 @@ pub(super) struct Args {
     detector: DetectorArgs,
 
     /// Run the fastest configuration of this table, which `smr-gpu tradeoff` wrote, that keeps --max-shift-mm or
-    /// --min-iou, on whole pictures. Fails if adapter, driver or weights are not those of the table.
-    #[arg(help_heading = "Speed", long, value_name = "JSON", conflicts_with_all = ["weights", "size", "device", "precision", "leave_out"])]
+    /// --min-iou. The table decides what is left out, too. Fails if adapter, driver or weights are not those of the
+    /// table.
+    #[arg(help_heading = "Speed", long, value_name = "JSON", conflicts_with_all = ["weights", "size", "device", "precision", "leave_out", "exact"])]
     tradeoff: Option<PathBuf>,
 
     /// With --tradeoff: 95 % of the boxes are within this distance of those of the base.

@@ -31,7 +31,7 @@ const PAPER: [(&str, f64, f64); 2] = [("A", 91.78, 99.3), ("B", 92.12, 99.4)];
 /// What all sets together are called.
 const TOGETHER: &str = "all";
 
-/// Shown below `--help`.
+/// Shown below the help.
 const EXAMPLES: &str = "\
 Examples:
   smr-gpu eval --data test
@@ -85,7 +85,7 @@ pub(super) struct Args {
     #[arg(help_heading = "Output", long, value_name = "DIR")]
     save: Option<PathBuf>,
 
-    /// Print one line of JSON for each folder, with all tables, and one for all folders together.
+    /// Print one line of JSON for each folder, with all tables; with several folders also one for all together.
     #[arg(help_heading = "Output", long)]
     json: bool,
 

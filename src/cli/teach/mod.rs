@@ -38,7 +38,7 @@ use super::simulate::{drawable, failure};
 use plan::{Plan, Role, Set};
 use python::{Estimate, Python};
 
-/// Shown below `--help`.
+/// Shown below the help.
 const EXAMPLES: &str = "\
 Examples:
   smr-gpu teach clip=clip.stl pin=pin.stl --out mine.safetensors --python train/bin/python

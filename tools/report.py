@@ -102,6 +102,8 @@ class Laboratory:
         self.kept.mkdir(parents=True, exist_ok=True)
         # Asked once: what is written here makes the tree dirty.
         self.commit = output("git", "describe", "--always", "--dirty", "--abbrev=12").strip()
+        # How many pictures of each set the table at work has seen.
+        self.seen: set[int] = set()
         # Pictures beside the tables, by their paths.
         self.pictures: dict[str, bytes] = {}
 
@@ -124,14 +126,17 @@ class Laboratory:
         limit = ["--limit", str(self.options.limit)] if self.options.limit else []
         key = ["eval", digest(self.weights(network)), *more, *limit, *(digest(folder / "annotations.json") for folder in data)]
         text = self.run(key, [self.options.smr_gpu, "eval", "--json", "--exact", "--device", "cpu", "--weights", self.weights(network), *more, *limit, "--data", *data])
-        return json.loads(text.splitlines()[-1])
+        figures = json.loads(text.splitlines()[-1])
+        self.seen.add(figures["pictures"] // len(data))
+        return figures
 
     def held_out(self, network: str, name: str, *more: str) -> dict:
         return self.eval(network, [self.options.held_out / name], *more)
 
     def provenance(self, name: str) -> str:
         weights = ", ".join(f"{network} `{digest(self.weights(network))[:12]}`" for network in NETWORKS)
-        some = f"; the first {self.options.limit} pictures of each set" if self.options.limit else ""
+        seen = " to ".join(map(str, sorted({min(self.seen), max(self.seen)}))) if self.seen else ""
+        some = f"; {seen} pictures a set" if seen else ""
         return f"Weights: {weights}. Commit {self.commit}, {date.today()}, {processor()}{some}: `python tools/report.py --only {name}`"
 
 
@@ -335,6 +340,7 @@ def tradeoff(lab: Laboratory) -> str:
     """The plot, and what it recommends."""
     out = lab.kept / "tradeoff"
     limit = str(min(lab.options.limit or 40, 40))
+    lab.seen.add(int(limit))
     key = ["tradeoff", *(digest(lab.weights(network)) for network in NETWORKS), processor(), limit]
     text = lab.run(key, [lab.options.smr_gpu, "tradeoff", "--data", lab.options.held_out / "wide-mixed", "--out", out, "--limit", limit])
     lab.pictures["docs/images/tradeoff.png"] = (out / "tradeoff.png").read_bytes()
@@ -345,6 +351,7 @@ def savings(lab: Laboratory) -> str:
     """What each saving costs and gains on the CPU."""
     sets = [lab.options.held_out / name for name in "plain-a plain-b wide-a wide-b wide-mixed bare screw clutter".split()]
     limit = str(min(lab.options.limit or 50, 50))
+    lab.seen.add(int(limit))
     ways = [argument for way in ("contact", "proposals", "scales", "default", "all") for argument in ("--way", way)]
     parts = []
     for network in NETWORKS:
@@ -460,6 +467,7 @@ def main() -> int:
         there = between.search(text)
         if not there:
             sys.exit(f"{path}: expected <!-- report: {name} --> and <!-- end -->")
+        lab.seen.clear()
         body = f"\n{make(lab)}\n\n"
         said = "" if name == "samples" else f"{lab.provenance(name)}\n"
         if not options.check:

@@ -158,8 +158,8 @@ impl Savings {
 }
 
 impl Default for Savings {
-    /// What lost none of 2003 labelled snaps with any weights so far: `contact` and `regions`. `scales` beside
-    /// them lost one, `proposals` with earlier weights five, and are for those who ask.
+    /// What lost none of 2003 labelled snaps with earlier weights, and none of 131 with these: `contact` and
+    /// `regions`. `scales` beside them lost one, `proposals` five, with earlier weights, and are for those who ask.
     fn default() -> Self {
         Self { contact: true, regions: true, ..Self::NONE }
     }

@@ -65,7 +65,7 @@ def tiny(root: Path, runs: list[Run]) -> plan.Plan:
         if not (root / name).exists():
             write(root / name, count, seed, snaps)
     sets = [Set(name, use, count, 0, [], "both" if use == "test" else "") for name, (use, count, _) in uses.items()]
-    return plan.Plan(12, sets, ROWS, runs, area=30_000, points=3, search="fast", checkpoint_minutes=0, inputs=[128])
+    return plan.Plan(15, sets, ROWS, runs, area=30_000, points=3, search="fast", checkpoint_minutes=0, inputs=[128])
 
 
 def every_network_learns_and_finds(root: Path) -> None:
@@ -83,7 +83,7 @@ def every_network_learns_and_finds(root: Path) -> None:
         total = torch.stack([*found.values()]).sum()
         total.backward()
         assert total.isfinite() and all(p.grad is not None and p.grad.isfinite().all() for p in model.parameters()), row.name
-        seen = models.find(model.eval(), entry, "cpu", torch.tensor([[0.1, 0.1, 0.5, 0.5]]))
+        seen = models.find(model.eval(), [models.see(entry)], "cpu", [torch.tensor([[0.1, 0.1, 0.5, 0.5]])])[0]
         assert len(seen["boxes"]) == len(seen["scores"]) == len(seen["labels"]) and (seen["boxes"] <= SIDE).all()
     print("ok every network learns and finds")
 
@@ -172,9 +172,11 @@ def runs_go_on_to_the_same_weights(root: Path, names: tuple[str, ...] = ("full",
     table = runner.status(p, runs, root / "whole")
     assert sum("| complete" in line for line in table) == len(runs) and table[-1].startswith(f"{len(runs)} of {len(runs)} runs complete"), table
     # All that a complete run is judged by.
+    tables.detections(p, runs, root, root / "whole", None)
+    tables.measure_costs(p, runs, root, root / "whole", None)
     for run in runs:
-        tables.detections(p, run, root, root / "whole", None)
-        paid = json.loads((root / "whole" / run.name / "cost.json").read_text())
+        assert len(tables.read_found(root / "whole" / run.name, ["one", "two", "bare"])) == 9
+        paid = json.loads((root / "whole" / "costs" / f"{run.row.name}-{run.network}.json").read_text())
         assert min(paid["parameters"], paid["multiply_adds"], paid["ms"]) > 0 and (paid["proposals_ms"] is not None) == (run.row.model == "fast")
     assert len(json.loads((root / "whole" / runs[0].name / "found-one@128.json").read_text())["found"]) == 3
     # Other pictures are not taken for the same.
@@ -264,7 +266,8 @@ def tables_say_what_is_measured(root: Path) -> None:
         of = exact if run.seed == 2 or run.network == "large" else found
         (where / "found-one.json").write_text(json.dumps({"key": "", "found": of}))
         (where / "found-bare.json").write_text(json.dumps({"key": "", "found": alone}))
-    (out / runs[3].name / "cost.json").write_text(json.dumps({"parameters": 21_500_000, "multiply_adds": 8_000_000_000, "ms": 151.0, "proposals_ms": None}))
+    (out / "costs").mkdir()
+    (out / "costs" / f"{runs[3].row.name}-{runs[3].network}.json").write_text(json.dumps({"parameters": 21_500_000, "multiply_adds": 8_000_000_000, "ms": 151.0, "proposals_ms": None}))
     tables.write(types.SimpleNamespace(data=data, out=out, resamples=20), p)
     answer = json.loads((out / "results.json").read_text())
     rows = answer["groups"]["one"]
@@ -351,7 +354,7 @@ def weight_files_find_the_same_in_the_program(root: Path) -> None:
         done = subprocess.run([os.environ["SMR_GPU"], "detect", "--exact", "--weights", file, "--json", "--conf", "0.05", "--device", "cpu", "--mm-per-pixel", "0.1", entry.path], capture_output=True, text=True)
         assert done.returncode == 0, (row.name, done.stderr)
         got = json.loads(done.stdout)["detections"]
-        want = models.find(weightfile.load(file), entry, "cpu")
+        want = models.find(weightfile.load(file), [models.see(entry)], "cpu")[0]
         assert len(want["scores"]) and [each["class_index"] + 1 for each in got] == want["labels"].tolist(), (row.name, len(got), len(want["labels"]))
         assert np.allclose([each["score"] for each in got], want["scores"], atol=1e-4), row.name
         assert np.allclose([each["box"] for each in got], want["boxes"], atol=0.02), row.name

@@ -22,6 +22,7 @@ def parser() -> argparse.ArgumentParser:
         "run": "train the plan's runs in their order, those that are not complete; Ctrl-C keeps what there is",
         "status": "print which runs are complete, and what is left",
         "evaluate": "find the snaps of the test sets by the complete runs",
+        "costs": "time each network through ONNX Runtime on one thread of this CPU",
         "tables": "write OUT/results.json and OUT/tables.md",
         "install": "write OUT/installation.md and its two figures: how often a simulated assembly closes",
         "time": f"time {TIMED} steps of each network",
@@ -35,7 +36,7 @@ def parser() -> argparse.ArgumentParser:
             command.add_argument("--out", type=Path, required=True, help="folder of the runs")
         if name == "sets":
             command.add_argument("--smr-gpu", type=Path, required=True, help="the program")
-        if name in ("run", "evaluate"):
+        if name in ("run", "evaluate", "costs"):
             command.add_argument("--yolo", type=Path, help="the `yolo` program of an environment with ultralytics; without it YOLO's runs are left out")
         if name == "install":
             command.add_argument("--detections", type=titled, metavar="NAME=FILE", action="append", default=[], help="what `smr-gpu detect --json` printed of the plan's sets of installation, as a method of this name")
@@ -109,9 +110,9 @@ def command(argv: list[str] | None) -> int:
     elif args.command == "time":
         timed(plan, runs, args.data, args.out)
     elif args.command == "evaluate":
-        for run in runs:
-            if runner.Progress.load(args.out / run.name).complete:
-                tables.detections(plan, run, args.data, args.out, args.yolo)
+        tables.detections(plan, runs, args.data, args.out, args.yolo)
+    elif args.command == "costs":
+        tables.measure_costs(plan, runs, args.data, args.out, args.yolo)
     elif args.command == "install":
         from . import installation
 

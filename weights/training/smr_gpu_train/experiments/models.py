@@ -3,7 +3,8 @@
 All begin with random weights: there is no ImageNet file here, for any of them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import torch
@@ -114,21 +115,45 @@ def losses(model: SmrNet, images: Tensor, truth: Truth, proposals: Proposals | N
     return detection_losses(model, images, truth)
 
 
+@dataclass
+class Seen:
+    """A picture as the networks read it."""
+
+    pixels: Tensor  # [3, H, W], 0 to 255
+    ratio: tuple[float, float]  # the gel's pixels a pixel, along x and y
+    size: tuple[int, int]  # of the gel, height and width
+
+
+def see(entry: Entry, scale: float = 1.0) -> Seen:
+    """`scale` is beside the scale that the networks have learnt."""
+    return Seen(*network_input(entry.pixels(), SCALE_PER_MM * entry.mm_per_pixel * scale), entry.size)
+
+
+BATCH = 16  # pictures of one size at once on a card, which waits for its commands otherwise
+
+
 @torch.no_grad()
-def find(model: SmrNet, entry: Entry, device: str, proposals: Tensor | None = None, scale: float = 1.0) -> dict[str, Tensor]:
-    """Detections of a picture, best first, down to a score of 0.05, boxes in pixels of its gel; `proposals` [P, 4] are shares of its sides, `scale` is beside the scale that the network has learnt."""
-    config = model.config
-    pixels, (x, y) = network_input(entry.pixels(), config.pixels_per_mm * entry.mm_per_pixel * scale)
-    image = normalise(pixels, config.mean, config.std)[None].to(device, memory_format=torch.channels_last)
-    if isinstance(model, Fast):
-        assert proposals is not None
-        height, width = entry.size
-        boxes = proposals.to(device, torch.float32) * torch.tensor([width / x, height / y] * 2, device=device)
-        result = classify(config, model.heads_of(image, boxes), boxes, image.shape[2:], 0.05, 0.5)
-    else:
-        result = model.detect(image)[0]
-    found = {name: result[name].cpu() for name in ("boxes", "scores", "labels")}
-    found["boxes"] = found["boxes"] * torch.tensor([x, y, x, y])
+def find(model: SmrNet, pictures: Sequence[Seen], device: str, regions: Sequence[Tensor] | None = None) -> list[dict[str, Tensor]]:
+    """Detections of each picture, best first, down to a score of 0.05, boxes in pixels of its gel; `regions` [P, 4] of each are shares of its sides."""
+    config, found = model.config, list[dict[str, Tensor]]()
+    sizes = [seen.pixels.shape for seen in pictures]
+    at_once = BATCH if device != "cpu" and regions is None else 1
+    while len(found) < len(pictures):
+        first = len(found)
+        end = next((i for i in range(first + 1, min(first + at_once, len(pictures))) if sizes[i] != sizes[first]), min(first + at_once, len(pictures)))
+        part = pictures[first:end]
+        images = normalise(torch.stack([seen.pixels for seen in part]).to(device), config.mean, config.std).contiguous(memory_format=torch.channels_last)
+        if isinstance(model, Fast):
+            assert regions is not None
+            (x, y), (height, width) = part[0].ratio, part[0].size
+            boxes = regions[first].to(device, torch.float32) * torch.tensor([width / x, height / y] * 2, device=device)
+            results = [classify(config, model.heads_of(images, boxes), boxes, images.shape[2:], 0.05, 0.5)]
+        else:
+            results = model.detect(images)
+        for seen, result in zip(part, results, strict=True):
+            one = {name: result[name].cpu() for name in ("boxes", "scores", "labels")}
+            one["boxes"] = one["boxes"] * torch.tensor([*seen.ratio, *seen.ratio])
+            found.append(one)
     return found
 
 

@@ -1,8 +1,11 @@
 """Regions from selective search (Uijlings et al. 2013), by OpenCV's contrib package, and views that carry them."""
 
 import ctypes
+import multiprocessing
 import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,9 +30,9 @@ class Searched:
     boxes: Tensor  # [pictures, P, 4], shares of the picture's sides, without area where a picture has fewer
     seconds: float  # a picture, on one thread
 
-    def of(self, picture: int) -> Tensor:
-        there = bx.area(self.boxes[picture]) > 0
-        return self.boxes[picture][there]
+    def each(self) -> list[Tensor]:
+        """[P, 4] of each picture."""
+        return [boxes[bx.area(boxes) > 0] for boxes in self.boxes]
 
 
 def search(picture: np.ndarray, mode: str) -> np.ndarray:
@@ -52,17 +55,24 @@ def search(picture: np.ndarray, mode: str) -> np.ndarray:
     return boxes if len(boxes) else np.array([[0, 0, picture.shape[1], picture.shape[0]]], np.float32)
 
 
-def searched(pictures: list[Entry], mode: str, cache: Path) -> Searched:
+def _of_picture(entry: Entry, mode: str) -> tuple[np.ndarray, float]:
+    """Its boxes as shares of its sides, and the seconds that they took."""
+    began = time.process_time()
+    pixels, (x, y) = network_input(entry.pixels(), SCALE_PER_MM * entry.mm_per_pixel)
+    boxes = search(pixels.permute(1, 2, 0).round().byte().numpy(), mode)
+    height, width = entry.size
+    return (boxes * np.array([x, y, x, y]) / [width, height, width, height]).clip(0, 1), time.process_time() - began
+
+
+def searched(pictures: list[Entry], mode: str, cache: Path, workers: int = 1) -> Searched:
     """Those of each picture at the network's scale, kept in `cache` by the pictures' content."""
     file = cache / f"search-{mode}-{content_key(pictures, SCALE_PER_MM, [mode])}.npz"
     if not file.exists():
-        rows, began = [], time.process_time()
-        for entry in pictures:
-            pixels, (x, y) = network_input(entry.pixels(), SCALE_PER_MM * entry.mm_per_pixel)
-            boxes = search(pixels.permute(1, 2, 0).round().byte().numpy(), mode)
-            height, width = entry.size
-            rows.append((boxes * np.array([x, y, x, y]) / [width, height, width, height]).clip(0, 1))
-        seconds = (time.process_time() - began) / max(1, len(pictures))
+        # New processes, as a card's driver does not live through a fork.
+        with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+            found = [*(pool.map if workers > 1 else map)(partial(_of_picture, mode=mode), pictures)]
+        rows = [boxes for boxes, _ in found]
+        seconds = sum(taken for _, taken in found) / max(1, len(pictures))
         table = np.zeros((len(rows), max(map(len, rows)), 4), np.float32)
         for i, row in enumerate(rows):
             table[i, : len(row)] = row

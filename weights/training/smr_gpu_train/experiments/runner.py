@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from .. import weightfile
 from ..config import Config
@@ -25,9 +26,9 @@ from ..metrics import figures
 from ..model import SmrNet
 from ..pictures import Entry, entries
 from ..pool import WHOLE, WHOLE_SHARE, WINDOWS
-from .models import SCALE_PER_MM, configuration, find, losses, maker, truth_of
+from .models import SCALE_PER_MM, configuration, find, losses, maker, see, truth_of
 from .plan import Plan, Row, Run
-from .proposals import Searched, Views, searched
+from .proposals import Views, searched
 
 CLASSES, DIRECTED = ["A", "B"], ["A"]
 STILL = 0.01  # AP50:95 that a run gains in its last third if it is still rising
@@ -93,12 +94,13 @@ class Training:
         pool = Views.of(parts, self.config, self.device)
         assert isinstance(pool, Views)
         self.pool = pool
-        self.val = pictures(plan, data, "val", plan.val_pictures)
-        self.regions: Searched | None = None  # of the validation pictures
+        val = pictures(plan, data, "val", plan.val_pictures)
+        self.val, self.truths = [see(entry) for entry in val], [truth_of(entry) for entry in val]
+        self.regions: list[Tensor] | None = None  # of the validation pictures
         if run.row.model == "fast":
             log("selective search on the pictures, once")
             self.pool.regions = searched(pictures(plan, data, "train"), plan.search, out / "cache").boxes.to(self.device)
-            self.regions = searched(self.val, plan.search, out / "cache")
+            self.regions = searched(val, plan.search, out / "cache").each()
         torch.manual_seed(run.seed)
         self.learner = Learner(self.config, self.device, plan.weight_decay, maker(run.row))
         self.now = Progress(steps=steps(plan), curve=[])
@@ -129,8 +131,8 @@ class Training:
         return float(total.detach())
 
     def validate(self) -> None:
-        found = [find(self.learner.ema, entry, self.device, self.regions.of(i) if self.regions else None) for i, entry in enumerate(self.val)]
-        row = figures([truth_of(entry) for entry in self.val], found, CLASSES)["all"]
+        found = find(self.learner.ema, self.val, self.device, self.regions)
+        row = figures(self.truths, found, CLASSES)["all"]
         assert self.now.curve is not None
         self.now.curve.append((self.now.step, round(row["ap50_95"], 4)))
         log(f"{self.run.name} step {self.now.step}: IoU {100 * row['iou']:.1f}, AP50 {100 * row['ap50']:.1f}, AP50:95 {100 * row['ap50_95']:.1f} of {len(self.val)} validation pictures")

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,14 @@ from ..fit import log
 from ..labels import check_labelled, read_folders
 from ..parts import content_key
 from ..pictures import Entry, entries
+from ..model import SmrNet
 from . import cost, score
-from .models import SCALE_PER_MM, Fast, find, truth_of
+from .models import SCALE_PER_MM, Fast, Seen, configuration, find, maker, see, truth_of
 from .plan import FULL, Plan, Row, Run
 from .proposals import searched
 from .runner import CLASSES, DIRECTED, Progress, load, rising
 
+SEARCHED = 40  # pictures that selective search is timed on
 SIDE = 320  # pixels of the paper's sensor at the scale that the networks learn
 # Mean IoU and mAP in percent, where this project knows them; of all other rows it does not have the paper's figures.
 PAPER = {(FULL, "A"): (91.78, 99.3), (FULL, "B"): (92.12, 99.4)}
@@ -53,35 +56,53 @@ def _write(file: Path, content: Any) -> None:
         part.write_text(json.dumps(content), encoding="utf-8")
 
 
-def detections(plan: Plan, run: Run, data: Path, out: Path, program: Path | None) -> None:
-    """OUT/RUN/found-SET.json of each set, and OUT/RUN/cost.json; what is there of the same pictures stays."""
-    where, model, sets = out / run.name, None, plan.of_use("test", "negative", "installation")
-    wanted = [(each, SIDE) for each in sets] + [(each, side) for side in plan.inputs if run.row.name == FULL for each in sets if each.use == "test"]
-    for each, side in wanted:
-        file = where / (f"found-{each.name}.json" if side == SIDE else f"found-{each.name}@{side}.json")
+def detections(plan: Plan, runs: list[Run], data: Path, out: Path, program: Path | None) -> None:
+    """OUT/RUN/found-SET.json of each complete run and set; what is there of the same pictures stays."""
+    runs = [run for run in runs if Progress.load(out / run.name).complete]
+    if program is None and (left := [run.name for run in runs if run.row.model == "yolo"]):
+        log(f"{', '.join(left)}: left out: --yolo names no program")
+        runs = [run for run in runs if run.row.model != "yolo"]
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    torch.backends.cudnn.allow_tf32 = False
+    models: dict[str, SmrNet] = {}
+    sets = plan.of_use("test", "negative", "installation")
+    for each, side in [(each, SIDE) for each in sets] + [(each, side) for side in plan.inputs for each in sets if each.use == "test"]:
         pictures = of_set(data, each.name)
         key = content_key(pictures, SCALE_PER_MM, [plan.search])
-        if file.exists() and json.loads(file.read_text())["key"] == key:
-            continue
-        if run.row.model == "yolo":
-            from . import yolo
+        # One look at the pictures for all runs.
+        seen: list[Seen] = []
+        for run in runs:
+            file = out / run.name / (f"found-{each.name}.json" if side == SIDE else f"found-{each.name}@{side}.json")
+            if side != SIDE and run.row.name != FULL or file.exists() and json.loads(file.read_text())["key"] == key:
+                continue
+            if run.row.model == "yolo":
+                from . import yolo
 
-            if program is None:
-                log(f"{run.name}: left out: --yolo names no program")
-                return
-            found = yolo.find_all(pictures, run, out, program, each.name)
-        else:
-            model = model or load(run.row, where)
-            regions = searched(pictures, plan.search, out / "cache") if isinstance(model, Fast) else None
-            found = [find(model, entry, "cpu", regions.of(i) if regions else None, side / SIDE) for i, entry in enumerate(pictures)]
-        _write(file, {"key": key, "found": [_numbers(one) for one in found]})
-        log(f"{run.name}: {len(pictures)} pictures of {each.name} at {side}")
-    if not (where / "cost.json").exists():
-        _write(where / "cost.json", costs(plan, run, of_set(data, sets[0].name), out, program))
+                assert program is not None
+                found = yolo.find_all(pictures, run, out, program, each.name)
+            else:
+                seen = seen or [see(entry, side / SIDE) for entry in pictures]
+                model = models.setdefault(run.name, models.get(run.name) or load(run.row, out / run.name, device))
+                regions = searched(pictures, plan.search, out / "cache").each() if isinstance(model, Fast) else None
+                found = find(model, seen, device, regions)
+            _write(file, {"key": key, "found": [_numbers(one) for one in found]})
+            log(f"{run.name}: {len(pictures)} pictures of {each.name} at {side}")
+
+
+def measure_costs(plan: Plan, runs: list[Run], data: Path, out: Path, program: Path | None) -> None:
+    """OUT/costs/ROW-WIDTHS.json of each network that these runs train."""
+    first = of_set(data, plan.of_use("test")[0].name)
+    for key, run in {f"{run.row.name}-{run.network}": run for run in reversed(runs)}.items():
+        file = out / "costs" / f"{key}.json"
+        if file.exists() or run.row.model == "yolo" and program is None:
+            continue
+        file.parent.mkdir(parents=True, exist_ok=True)
+        _write(file, costs(plan, run, first, out, program))
+        log(f"{key}: {file}")
 
 
 def costs(plan: Plan, run: Run, pictures: list[Entry], out: Path, program: Path | None) -> dict[str, float | None]:
-    """On the first of these pictures."""
+    """On the first of these pictures, whatever the network has learnt: only non-maximum suppression takes longer where there is more to suppress."""
     first = pictures[0]
     if run.row.model == "yolo":
         from . import yolo
@@ -91,16 +112,17 @@ def costs(plan: Plan, run: Run, pictures: list[Entry], out: Path, program: Path 
         parameters, adds = cost.of_onnx(file)
         ms = cost.milliseconds(file, lambda session: {session.get_inputs()[0].name: torch.rand(1, 3, SIDE, SIDE).numpy()})
         return {"parameters": parameters, "multiply_adds": adds, "ms": ms, "proposals_ms": None}
-    model, regions, taken, file = load(run.row, out / run.name), None, None, out / run.name / "network.onnx"
+    model, regions, taken = maker(run.row)(configuration(run.row, run.network, [0.5] * 3, [0.2] * 3, plan.pose)).eval(), None, None
     parameters = sum(p.numel() for p in model.parameters())
     pixels, (x, y) = network_input(first.pixels(), SCALE_PER_MM * first.mm_per_pixel)
     if isinstance(model, Fast):
-        all_ = searched(pictures, plan.search, out / "cache")
-        regions, taken = all_.of(0) * torch.tensor([first.size[1] / x, first.size[0] / y] * 2), 1000 * all_.seconds
+        all_ = searched(pictures[:SEARCHED], plan.search, out / "cache")
+        regions, taken = all_.each()[0] * torch.tensor([first.size[1] / x, first.size[0] / y] * 2), 1000 * all_.seconds
     adds = cost.multiply_adds(model, SIDE, SIDE, cost.ROIS if regions is None else len(regions))
-    inputs = cost.export(model, file, pixels, regions)
-    ms = cost.milliseconds(file, lambda session: inputs)
-    file.unlink()
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "network.onnx"
+        inputs = cost.export(model, file, pixels, regions)
+        ms = cost.milliseconds(file, lambda session: inputs)
     return {"parameters": parameters, "multiply_adds": adds, "ms": ms, "proposals_ms": taken}
 
 
@@ -118,9 +140,9 @@ def results(plan: Plan, data: Path, out: Path, times: int) -> dict[str, Any]:
         for run in runs:
             now = Progress.load(out / run.name)
             answer["runs"][run.name] = {"hours": now.seconds / 3600, "views": now.views, "rising": rising(now.curve or []), "curve": now.curve}
-            file = out / run.name / "cost.json"
+            file = out / "costs" / f"{run.row.name}-{run.network}.json"
             if file.exists():
-                answer["costs"][f"{run.row.name}-{run.network}"] = json.loads(file.read_text())
+                answer["costs"][file.stem] = json.loads(file.read_text())
     for group, names in groups.items():
         truths = [truth_of(entry) for name in names for entry in of_set(data, name)]
         weights = score.draws(len(truths), times)

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from .models import SCALE_PER_MM
 from .plan import Plan, Run
 from .runner import CLASSES, Progress, pictures
 
+DEVICE = f"device={'0' if torch.cuda.is_available() else 'cpu'}"
 SIDE = 320  # a picture of the paper's sensor; smaller ones are padded to it, larger ones the program shrinks
 
 
@@ -35,13 +37,12 @@ def put(entries: list[Entry], cache: Path) -> tuple[Path, list[tuple[tuple[int, 
     folder = cache.absolute() / f"yolo-{content_key(entries, SCALE_PER_MM, CLASSES)}"
     (folder / "images").mkdir(parents=True, exist_ok=True)
     (folder / "labels").mkdir(exist_ok=True)
-    said = []
-    for i, entry in enumerate(entries):
+
+    def one(i: int, entry: Entry) -> tuple[tuple[int, int], tuple[float, float]]:
         pixels, (x, y) = network_input(entry.pixels(), SCALE_PER_MM * entry.mm_per_pixel)
         picture = pixels.round().byte().permute(1, 2, 0).numpy()
         height, width = (max(SIDE, side) for side in picture.shape[:2])
         picture = np.pad(picture, ((0, height - picture.shape[0]), (0, width - picture.shape[1]), (0, 0)), "edge")
-        said.append(((width, height), (x, y)))
         file = folder / "images" / f"{i:06}.png"
         if not file.exists():
             with whole(file) as part:
@@ -49,6 +50,10 @@ def put(entries: list[Entry], cache: Path) -> tuple[Path, list[tuple[tuple[int, 
         boxes = entry.snaps.boxes / [x, y, x, y]
         lines = [f"{label - 1} {(a + c) / 2 / width:.6f} {(b + d) / 2 / height:.6f} {(c - a) / width:.6f} {(d - b) / height:.6f}" for label, (a, b, c, d) in zip(entry.snaps.labels, boxes)]
         (folder / "labels" / f"{i:06}.txt").write_text("".join(f"{line}\n" for line in lines))
+        return (width, height), (x, y)
+
+    with ThreadPoolExecutor() as pool:
+        said = [*pool.map(one, range(len(entries)), entries)]
     return folder, said
 
 
@@ -81,9 +86,8 @@ def train(plan: Plan, run: Run, data: Path, out: Path, program: Path, stopped: C
     now, began = Progress.load(where), time.monotonic()
     now.steps, spent = epochs, now.seconds
     last = where / "train" / "weights" / "last.pt"
-    device = "0" if torch.cuda.is_available() else "cpu"
     fresh = [f"model=yolov8{run.row.size}.yaml", f"data={where / 'data.yaml'}", f"epochs={epochs}", f"imgsz={SIDE}", f"batch={plan.yolo_batch}", f"seed={run.seed}"]
-    fresh += ["pretrained=False", "workers=0", f"device={device}", f"project={where}", "name=train", "exist_ok=True", "plots=False", "amp=False", "flipud=0.5"]
+    fresh += ["pretrained=False", "workers=0", DEVICE, f"project={where}", "name=train", "exist_ok=True", "plots=False", "amp=False", "flipud=0.5"]
 
     def look() -> None:
         results = where / "train" / "results.csv"
@@ -111,7 +115,7 @@ def find_all(entries: list[Entry], run: Run, out: Path, program: Path, name: str
     """Detections of a set's pictures, as models.find gives them."""
     where = (out / run.name).absolute()
     folder, said = put(entries, out / "cache")
-    call(program, where, "detect", "predict", f"model={where / 'train/weights/last.pt'}", f"source={folder / 'images'}", f"imgsz={SIDE}", "conf=0.05", "iou=0.5", "max_det=100", "save=False", "save_txt=True", "save_conf=True", f"project={where}", f"name=found-{name}", "exist_ok=True", "device=cpu")
+    call(program, where, "detect", "predict", f"model={where / 'train/weights/last.pt'}", f"source={folder / 'images'}", f"imgsz={SIDE}", "conf=0.05", "iou=0.5", "max_det=100", "save=False", "save_txt=True", "save_conf=True", f"project={where}", f"name=found-{name}", "exist_ok=True", DEVICE)
     found = []
     for i, (entry, ((width, height), (x, y))) in enumerate(zip(entries, said)):
         file = where / f"found-{name}" / "labels" / f"{i:06}.txt"

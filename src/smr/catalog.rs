@@ -33,12 +33,12 @@ pub const PUBLISHED: [Published; 2] = [
     Published {
         name: "large",
         file: "smrnet.safetensors",
-        sha256: "f47ad4c4920b971eed9109f6897ea2aec3110af102b6f2b9a2342536fa1e1278",
+        sha256: "61ba90a3c20a91cd45bd154edf624fa2fa98c70d875dd62904ec46454771b3cd",
     },
     Published {
         name: "small",
         file: "smrnet-s.safetensors",
-        sha256: "325ab167b83af56c96e4fcfd14a78a7ee1f70b0a394114b6f2b2ad20ad3d377f",
+        sha256: "f62eb741d1e410bc073e341e7e035940bbcef69553c31e38d3080a5f6aee9d48",
     },
 ];
 

@@ -54,7 +54,7 @@ def refusals(methods: Mapping[str, Refused], file: Path) -> None:
 
 def error_against_time(rows: Mapping[str, tuple[float, list[float], list[float]]], file: Path) -> None:
     """Of each network its milliseconds a picture, and mean IoU (0 to 1) and median centre error (mm) as [value, low, high]."""
-    figure, axes = pyplot.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
+    figure, axes = pyplot.subplots(1, 2, figsize=(13, 4.6), layout="constrained")
     for i, (name, (ms, iou, error)) in enumerate(rows.items()):
         for axis, (value, low, high), factor in ((axes[0], iou, 100), (axes[1], error, 1)):
             span = [[factor * max(0, value - low)], [factor * max(0, high - value)]]
@@ -62,5 +62,5 @@ def error_against_time(rows: Mapping[str, tuple[float, list[float], list[float]]
     for axis, title in zip(axes, ("mean IoU, %", "median error of the centre, mm")):
         axis.set(xscale="log", xlabel="ms a picture: ONNX Runtime, one thread", ylabel=title)
         axis.grid(color="0.9")
-    axes[0].legend(loc="lower right", fontsize=8)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
     _saved(figure, file)

@@ -14,7 +14,7 @@ from scipy.stats import binomtest
 from ..errors import Failure
 from ..files import whole
 from ..pictures import Entry
-from .plan import Plan
+from .plan import FULL, Plan
 from .runner import CLASSES, Progress
 from .score import CONF
 from .tables import of_set, read_found, shown
@@ -194,13 +194,16 @@ def refusing(trials: Trials, play: np.ndarray) -> dict[str, tuple[np.ndarray, np
 
 
 def write(args: argparse.Namespace, plan: Plan) -> None:
-    """OUT/installation.md, installation.png and refusals.png, of each network's first complete run and of the files that are given."""
+    """OUT/installation.md, installation.png and refusals.png, of each network's first complete run and of the files that are given.
+
+    The figures are without the ablations."""
     from . import charts
 
     names = plan.installation
     pictures = [(name, entry) for name in names for entry in of_set(args.data, name)]
     entries = [entry for _, entry in pictures]
     methods: dict[str, Trials] = {}
+    ablations = set[str]()
     for title, file in args.detections:
         methods[title] = trials_of(entries, of_json(file, pictures))
     for run in plan.runs:
@@ -210,11 +213,14 @@ def write(args: argparse.Namespace, plan: Plan) -> None:
         kept = read_found(args.out / run.name, names)
         if kept is not None:
             methods[title] = trials_of(entries, of_numbers(kept))
+            if run.row.model == "smr" and run.row.name != FULL:
+                ablations.add(title)
     if not methods:
         raise Failure(f"{args.out}: expected detections of a complete run in the sets {', '.join(names)}, or --detections, got none")
     plays = {name: least_play(trials) for name, trials in methods.items()}
     with whole(args.out / "installation.md") as part:
         part.write_text(markdown(methods, plays), encoding="utf-8")
-    charts.clearance({name: (trials.kind, plays[name]) for name, trials in methods.items()}, args.out / "installation.png")
-    charts.refusals({name: refusing(trials, plays[name]) for name, trials in methods.items()}, args.out / "refusals.png")
+    drawn = {name: trials for name, trials in methods.items() if name not in ablations}
+    charts.clearance({name: (trials.kind, plays[name]) for name, trials in drawn.items()}, args.out / "installation.png")
+    charts.refusals({name: refusing(trials, plays[name]) for name, trials in drawn.items()}, args.out / "refusals.png")
     print(f"{args.out / 'installation.md'}, installation.png, refusals.png: {len(methods)} methods")

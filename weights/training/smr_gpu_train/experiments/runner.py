@@ -99,8 +99,8 @@ class Training:
         self.regions: list[Tensor] | None = None  # of the validation pictures
         if run.row.model == "fast":
             log("selective search on the pictures, once")
-            self.pool.regions = searched(pictures(plan, data, "train"), plan.search, out / "cache").boxes.to(self.device)
-            self.regions = searched(val, plan.search, out / "cache").each()
+            self.pool.regions = searched(pictures(plan, data, "train"), plan.search, out / "cache", plan.threads).boxes.to(self.device)
+            self.regions = searched(val, plan.search, out / "cache", plan.threads).each()
         torch.manual_seed(run.seed)
         self.learner = Learner(self.config, self.device, plan.weight_decay, maker(run.row))
         self.now = Progress(steps=steps(plan), curve=[])

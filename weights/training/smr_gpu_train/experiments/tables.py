@@ -83,15 +83,16 @@ def detections(plan: Plan, runs: list[Run], data: Path, out: Path, program: Path
             else:
                 seen = seen or [see(entry, side / SIDE) for entry in pictures]
                 model = models.setdefault(run.name, models.get(run.name) or load(run.row, out / run.name, device))
-                regions = searched(pictures, plan.search, out / "cache").each() if isinstance(model, Fast) else None
+                regions = searched(pictures, plan.search, out / "cache", plan.threads).each() if isinstance(model, Fast) else None
                 found = find(model, seen, device, regions)
             _write(file, {"key": key, "found": [_numbers(one) for one in found]})
             log(f"{run.name}: {len(pictures)} pictures of {each.name} at {side}")
 
 
 def measure_costs(plan: Plan, runs: list[Run], data: Path, out: Path, program: Path | None) -> None:
-    """OUT/costs/ROW-WIDTHS.json of each network that these runs train."""
+    """OUT/costs/ROW-WIDTHS.json of each network that these runs train; of YOLO's only the trained ones have a file to time."""
     first = of_set(data, plan.of_use("test")[0].name)
+    runs = [run for run in runs if run.row.model != "yolo" or Progress.load(out / run.name).complete]
     for key, run in {f"{run.row.name}-{run.network}": run for run in reversed(runs)}.items():
         file = out / "costs" / f"{key}.json"
         if file.exists() or run.row.model == "yolo" and program is None:
@@ -116,7 +117,7 @@ def costs(plan: Plan, run: Run, pictures: list[Entry], out: Path, program: Path 
     parameters = sum(p.numel() for p in model.parameters())
     pixels, (x, y) = network_input(first.pixels(), SCALE_PER_MM * first.mm_per_pixel)
     if isinstance(model, Fast):
-        all_ = searched(pictures[:SEARCHED], plan.search, out / "cache")
+        all_ = searched(pictures[:SEARCHED], plan.search, out / "cache", plan.threads)
         regions, taken = all_.each()[0] * torch.tensor([first.size[1] / x, first.size[0] / y] * 2), 1000 * all_.seconds
     adds = cost.multiply_adds(model, SIDE, SIDE, cost.ROIS if regions is None else len(regions))
     with tempfile.TemporaryDirectory() as folder:

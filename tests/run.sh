@@ -107,7 +107,7 @@ most_packed=10000000
 package() {
     local size
     cargo package --locked --quiet --no-verify --allow-dirty
-    size=$(cat target/package/smr-gpu-*.crate | wc -c)
+    size=$(cat "${CARGO_TARGET_DIR:-target}"/package/smr-gpu-*.crate | wc -c)
     echo "$size bytes packed, at most $most_packed"
     [ "$size" -le "$most_packed" ]
 }

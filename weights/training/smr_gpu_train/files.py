@@ -1,6 +1,7 @@
 """Files that are written whole or not at all, and folders that one process at a time works in."""
 
 import contextlib
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,7 +11,8 @@ from .errors import Unwritable
 @contextlib.contextmanager
 def whole(file: Path, *errors: type[Exception]) -> Iterator[Path]:
     """The path to write to, which becomes `file` in the end; what goes wrong, of `errors` too, becomes `Unwritable`."""
-    part = file.with_suffix(".part")
+    # Of this process alone: several may write the same file.
+    part = file.with_name(f"{file.name}.{os.getpid()}.part")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         yield part

@@ -21,7 +21,7 @@ from smr_gpu_train.errors import Failure
 from smr_gpu_train.experiments import __main__ as command
 from smr_gpu_train.experiments import cost, models, plan, runner, score, tables, yolo
 from smr_gpu_train.experiments.plan import Row, Run, Set
-from smr_gpu_train.experiments.proposals import Views, search
+from smr_gpu_train.experiments.proposals import Views, search, searched
 from smr_gpu_train.metrics import figures
 from smr_gpu_train.model import Cbam, SmrNet
 from smr_gpu_train.truth import Truth
@@ -134,6 +134,9 @@ def regions_go_with_their_views(root: Path) -> None:
     assert np.abs(search(picture, "fast") - [30, 20, 90, 60]).sum(axis=1).min() <= 4
     noisy = np.random.default_rng(0).integers(80, 140, (100, 120, 3), dtype=np.uint8)
     assert (search(noisy, "fast") == search(noisy, "fast")).all()
+    val = runner.pictures(p, root, "val")
+    alone, together = (searched(val, "fast", root / f"searched-{workers}", workers).boxes for workers in (1, 2))
+    assert torch.equal(alone, together)
     print("ok regions go with their views")
 
 

@@ -81,6 +81,7 @@ class Plan:
     val_pictures: int = 40  # the first of each validation set
     pose: bool = False  # as the paper's network: no direction, no stated deviations
     search: str = "quality"  # mode of selective search: fast or quality
+    searchers: int = 1  # processes that search at once
     yolo_batch: int = 16
     installation: list[str] = field(default_factory=list)  # sets of Table III
     inputs: list[int] = field(default_factory=list)  # sides at which the full network is evaluated too; it is trained for 320

@@ -69,7 +69,7 @@ def searched(pictures: list[Entry], mode: str, cache: Path, workers: int = 1) ->
     file = cache / f"search-{mode}-{content_key(pictures, SCALE_PER_MM, [mode])}.npz"
     if not file.exists():
         # New processes, as a card's driver does not live through a fork.
-        with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), torch.set_num_threads, (1,)) as pool:
             found = [*(pool.map if workers > 1 else map)(partial(_of_picture, mode=mode), pictures)]
         rows = [boxes for boxes, _ in found]
         seconds = sum(taken for _, taken in found) / max(1, len(pictures))

@@ -25,7 +25,7 @@ from ..learner import Learner, measure_statistics, network_views, rate
 from ..metrics import figures
 from ..model import SmrNet
 from ..pictures import Entry, entries
-from ..pool import WHOLE, WHOLE_SHARE, WINDOWS
+from ..pool import MOST_VIEWS, WHOLE, WHOLE_SHARE, WINDOWS
 from .models import SCALE_PER_MM, configuration, find, losses, maker, see, truth_of
 from .plan import Plan, Row, Run
 from .proposals import Views, searched
@@ -37,7 +37,7 @@ STILL = 0.01  # AP50:95 that a run gains in its last third if it is still rising
 def views_a_step(area: int) -> float:
     """How many there are on average: pool.py draws windows of several sizes."""
     def of(shapes: list[tuple[int, int]]) -> float:
-        return float(np.mean([max(2, round(area / (h * w))) for h, w in shapes]))
+        return float(np.mean([min(MOST_VIEWS, max(2, round(area / (h * w)))) for h, w in shapes]))
 
     return (1 - WHOLE_SHARE) * of([(side, side) for side in WINDOWS]) + WHOLE_SHARE * of([*WHOLE])
 
@@ -99,8 +99,8 @@ class Training:
         self.regions: list[Tensor] | None = None  # of the validation pictures
         if run.row.model == "fast":
             log("selective search on the pictures, once")
-            self.pool.regions = searched(pictures(plan, data, "train"), plan.search, out / "cache", plan.threads).boxes.to(self.device)
-            self.regions = searched(val, plan.search, out / "cache", plan.threads).each()
+            self.pool.regions = searched(pictures(plan, data, "train"), plan.search, out / "cache", plan.searchers).boxes.to(self.device)
+            self.regions = searched(val, plan.search, out / "cache", plan.searchers).each()
         torch.manual_seed(run.seed)
         self.learner = Learner(self.config, self.device, plan.weight_decay, maker(run.row))
         self.now = Progress(steps=steps(plan), curve=[])

@@ -83,7 +83,7 @@ def detections(plan: Plan, runs: list[Run], data: Path, out: Path, program: Path
             else:
                 seen = seen or [see(entry, side / SIDE) for entry in pictures]
                 model = models.setdefault(run.name, models.get(run.name) or load(run.row, out / run.name, device))
-                regions = searched(pictures, plan.search, out / "cache", plan.threads).each() if isinstance(model, Fast) else None
+                regions = searched(pictures, plan.search, out / "cache", plan.searchers).each() if isinstance(model, Fast) else None
                 found = find(model, seen, device, regions)
             _write(file, {"key": key, "found": [_numbers(one) for one in found]})
             log(f"{run.name}: {len(pictures)} pictures of {each.name} at {side}")
@@ -93,9 +93,15 @@ def measure_costs(plan: Plan, runs: list[Run], data: Path, out: Path, program: P
     """OUT/costs/ROW-WIDTHS.json of each network that these runs train; of YOLO's only the trained ones have a file to time."""
     first = of_set(data, plan.of_use("test")[0].name)
     runs = [run for run in runs if run.row.model != "yolo" or Progress.load(out / run.name).complete]
-    for key, run in {f"{run.row.name}-{run.network}": run for run in reversed(runs)}.items():
+    of_network: dict[str, Run] = {}
+    for run in runs:
+        of_network.setdefault(f"{run.row.name}-{run.network}", run)
+    for key, run in of_network.items():
         file = out / "costs" / f"{key}.json"
-        if file.exists() or run.row.model == "yolo" and program is None:
+        if file.exists():
+            continue
+        if run.row.model == "yolo" and program is None:
+            log(f"{key}: left out: --yolo names no program")
             continue
         file.parent.mkdir(parents=True, exist_ok=True)
         _write(file, costs(plan, run, first, out, program))
@@ -117,7 +123,7 @@ def costs(plan: Plan, run: Run, pictures: list[Entry], out: Path, program: Path 
     parameters = sum(p.numel() for p in model.parameters())
     pixels, (x, y) = network_input(first.pixels(), SCALE_PER_MM * first.mm_per_pixel)
     if isinstance(model, Fast):
-        all_ = searched(pictures[:SEARCHED], plan.search, out / "cache", plan.threads)
+        all_ = searched(pictures[:SEARCHED], plan.search, out / "cache", plan.searchers)
         regions, taken = all_.each()[0] * torch.tensor([first.size[1] / x, first.size[0] / y] * 2), 1000 * all_.seconds
     adds = cost.multiply_adds(model, SIDE, SIDE, cost.ROIS if regions is None else len(regions))
     with tempfile.TemporaryDirectory() as folder:
@@ -220,7 +226,7 @@ def markdown(plan: Plan, answer: dict[str, Any]) -> str:
             for entry in rows.values():
                 own = entry["figures"]["all"]
                 lines.append(f"| {group.replace('@', ' at ')} | {entry['network']} | {' | '.join(shown(own[f]) for f in ('iou', 'ap50', 'ap50_95'))} | {shown(own['centre_mm'], 1, 3)} |")
-    lines += ["", "In brackets the interval in which 95 % of the figures fall when pictures and seeds are drawn anew; of a single seed it knows of the pictures alone. A difference is on the same pictures and seeds. † still rising: it gained more than a point of AP50:95 in its last third, and nothing is concluded from it. –: not measured, or a figure of the paper's that this project does not have.", ""]
+    lines += ["", "In brackets the interval in which 95 % of the figures fall when pictures and seeds are drawn anew; of a single seed it knows of the pictures alone. A difference is on the same pictures and seeds. † still rising: one of its runs at least gained more than a point of AP50:95 in its last third, so the figures say nothing of a longer one. –: not measured, or a figure of the paper's that this project does not have.", ""]
     return "\n".join(lines)
 
 

@@ -6,6 +6,7 @@ labels and data.yaml in its format go in; results.csv, predictions in the same f
 
 import csv
 import os
+import shutil
 import signal
 import subprocess
 import time
@@ -49,7 +50,8 @@ def put(entries: list[Entry], cache: Path) -> tuple[Path, list[tuple[tuple[int, 
                 Image.fromarray(picture).save(part, "PNG")
         boxes = entry.snaps.boxes / [x, y, x, y]
         lines = [f"{label - 1} {(a + c) / 2 / width:.6f} {(b + d) / 2 / height:.6f} {(c - a) / width:.6f} {(d - b) / height:.6f}" for label, (a, b, c, d) in zip(entry.snaps.labels, boxes)]
-        (folder / "labels" / f"{i:06}.txt").write_text("".join(f"{line}\n" for line in lines))
+        with whole(folder / "labels" / f"{i:06}.txt") as part:
+            part.write_text("".join(f"{line}\n" for line in lines))
         return (width, height), (x, y)
 
     with ThreadPoolExecutor() as pool:
@@ -115,6 +117,7 @@ def find_all(entries: list[Entry], run: Run, out: Path, program: Path, name: str
     """Detections of a set's pictures, as models.find gives them."""
     where = (out / run.name).absolute()
     folder, said = put(entries, out / "cache")
+    shutil.rmtree(where / f"found-{name}", ignore_errors=True)  # the program adds to what is there
     call(program, where, "detect", "predict", f"model={where / 'train/weights/last.pt'}", f"source={folder / 'images'}", f"imgsz={SIDE}", "conf=0.05", "iou=0.5", "max_det=100", "save=False", "save_txt=True", "save_conf=True", f"project={where}", f"name=found-{name}", "exist_ok=True", DEVICE)
     found = []
     for i, (entry, ((width, height), (x, y))) in enumerate(zip(entries, said)):

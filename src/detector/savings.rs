@@ -158,7 +158,7 @@ impl Savings {
 }
 
 impl Default for Savings {
-    /// What lost none of 2003 labelled snaps with earlier weights, and none of 131 with these: `contact` and
+    /// What lost none of 2003 labelled snaps with earlier weights, and none of 133 with these: `contact` and
     /// `regions`. `scales` beside them lost one, `proposals` five, with earlier weights, and are for those who ask.
     fn default() -> Self {
         Self { contact: true, regions: true, ..Self::NONE }

@@ -6,6 +6,7 @@ All begin with random weights: there is no ImageNet file here, for any of them.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import groupby
 
 import torch
 from torch import Tensor, nn
@@ -136,17 +137,14 @@ BATCH = 16  # pictures of one size at once on a card, which waits for its comman
 def find(model: SmrNet, pictures: Sequence[Seen], device: str, regions: Sequence[Tensor] | None = None) -> list[dict[str, Tensor]]:
     """Detections of each picture, best first, down to a score of 0.05, boxes in pixels of its gel; `regions` [P, 4] of each are shares of its sides."""
     config, found = model.config, list[dict[str, Tensor]]()
-    sizes = [seen.pixels.shape for seen in pictures]
     at_once = BATCH if device != "cpu" and regions is None else 1
-    while len(found) < len(pictures):
-        first = len(found)
-        end = next((i for i in range(first + 1, min(first + at_once, len(pictures))) if sizes[i] != sizes[first]), min(first + at_once, len(pictures)))
-        part = pictures[first:end]
+    of_one_size = ([*group] for _, group in groupby(pictures, lambda seen: seen.pixels.shape))
+    for part in (group[i : i + at_once] for group in of_one_size for i in range(0, len(group), at_once)):
         images = normalise(torch.stack([seen.pixels for seen in part]).to(device), config.mean, config.std).contiguous(memory_format=torch.channels_last)
         if isinstance(model, Fast):
             assert regions is not None
             (x, y), (height, width) = part[0].ratio, part[0].size
-            boxes = regions[first].to(device, torch.float32) * torch.tensor([width / x, height / y] * 2, device=device)
+            boxes = regions[len(found)].to(device, torch.float32) * torch.tensor([width / x, height / y] * 2, device=device)
             results = [classify(config, model.heads_of(images, boxes), boxes, images.shape[2:], 0.05, 0.5)]
         else:
             results = model.detect(images)

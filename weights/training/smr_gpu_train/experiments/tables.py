@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from ..data import network_input
 from ..files import whole
@@ -14,7 +15,6 @@ from ..fit import log
 from ..labels import check_labelled, read_folders
 from ..parts import content_key
 from ..pictures import Entry, entries
-from ..model import SmrNet
 from . import cost, score
 from .models import SCALE_PER_MM, Fast, Seen, configuration, find, maker, see, truth_of
 from .plan import FULL, Plan, Row, Run
@@ -64,29 +64,28 @@ def detections(plan: Plan, runs: list[Run], data: Path, out: Path, program: Path
         runs = [run for run in runs if run.row.model != "yolo"]
     device = "cuda" if torch.cuda.is_available() else "cpu"
     torch.backends.cudnn.allow_tf32 = False
-    models: dict[str, SmrNet] = {}
-    sets = plan.of_use("test", "negative", "installation")
-    for each, side in [(each, SIDE) for each in sets] + [(each, side) for side in plan.inputs for each in sets if each.use == "test"]:
+    for each in plan.of_use("test", "negative", "installation"):
         pictures = of_set(data, each.name)
         key = content_key(pictures, SCALE_PER_MM, [plan.search])
-        # One look at the pictures for all runs.
-        seen: list[Seen] = []
-        for run in runs:
-            file = out / run.name / (f"found-{each.name}.json" if side == SIDE else f"found-{each.name}@{side}.json")
-            if side != SIDE and run.row.name != FULL or file.exists() and json.loads(file.read_text())["key"] == key:
-                continue
-            if run.row.model == "yolo":
-                from . import yolo
+        regions: list[Tensor] = []  # of the set's pictures, for those that look at some
+        for side in [SIDE, *(plan.inputs if each.use == "test" else ())]:
+            seen: list[Seen] = []  # one look at the pictures for all runs
+            for run in runs:
+                file = out / run.name / (f"found-{each.name}.json" if side == SIDE else f"found-{each.name}@{side}.json")
+                if side != SIDE and run.row.name != FULL or file.exists() and json.loads(file.read_text())["key"] == key:
+                    continue
+                if run.row.model == "yolo":
+                    from . import yolo
 
-                assert program is not None
-                found = yolo.find_all(pictures, run, out, program, each.name)
-            else:
-                seen = seen or [see(entry, side / SIDE) for entry in pictures]
-                model = models.setdefault(run.name, models.get(run.name) or load(run.row, out / run.name, device))
-                regions = searched(pictures, plan.search, out / "cache", plan.searchers).each() if isinstance(model, Fast) else None
-                found = find(model, seen, device, regions)
-            _write(file, {"key": key, "found": [_numbers(one) for one in found]})
-            log(f"{run.name}: {len(pictures)} pictures of {each.name} at {side}")
+                    assert program is not None
+                    found = yolo.find_all(pictures, run, out, program, each.name)
+                else:
+                    seen = seen or [see(entry, side / SIDE) for entry in pictures]
+                    if run.row.model == "fast":
+                        regions = regions or searched(pictures, plan.search, out / "cache", plan.searchers).each()
+                    found = find(load(run.row, out / run.name, device), seen, device, regions if run.row.model == "fast" else None)
+                _write(file, {"key": key, "found": [_numbers(one) for one in found]})
+                log(f"{run.name}: {len(pictures)} pictures of {each.name} at {side}")
 
 
 def measure_costs(plan: Plan, runs: list[Run], data: Path, out: Path, program: Path | None) -> None:

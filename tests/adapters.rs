@@ -57,12 +57,12 @@ fn every_family_has_its_kernels() {
     let small = ["conv2d/direct", "conv2d/split", "conv2d/winograd"].as_slice();
     let many = ["conv2d/direct", "conv2d/split"].as_slice();
     let few = ["conv2d/direct"].as_slice();
-    let alone = ["conv2d/alone"].as_slice();
+    let scalar = ["conv2d/scalar", "conv2d/scalar_split"].as_slice();
     use Kind::{Discrete, Integrated, Other, Software};
     for (family, sizes, kind, conv2d, linear) in [
         ("Apple", [4, 64], Integrated, many, "linear/gemm"),
-        ("AMD RDNA", [32, 64], Discrete, many, "linear/gemm"),
-        ("AMD GCN", [64, 64], Discrete, many, "linear/gemm"),
+        ("AMD RDNA", [32, 64], Discrete, scalar, "linear/planar"),
+        ("AMD GCN", [64, 64], Discrete, scalar, "linear/planar"),
         ("Intel", [8, 32], Integrated, many, "linear/gemm"),
         ("Adreno", [64, 128], Integrated, many, "linear/gemm"),
         ("Mali", [16, 16], Integrated, small, "linear/gemm"),
@@ -70,7 +70,7 @@ fn every_family_has_its_kernels() {
         ("NVIDIA", [32, 32], Discrete, many, "linear/gemm"),
         ("lavapipe", [8, 8], Software, few, "linear/gemm"),
         ("SwiftShader", [4, 4], Software, few, "linear/gemm"),
-        ("without subgroups", [0, 0], Other, alone, "linear/planar"),
+        ("without subgroups", [0, 0], Other, scalar, "linear/planar"),
     ] {
         let caps = Caps { kind, ..Caps::default() }.with_subgroups(sizes);
         let found = kernels(&network, "conv2d", &caps);
@@ -129,7 +129,7 @@ fn holds(what: &str, gpu: Arc<Gpu>, weights: &str, forced: &[&str]) {
 
 #[test]
 fn the_network_runs_without_subgroups() {
-    holds("forced", support::gpu().clone(), LARGE, &["conv2d/alone", "linear/planar"]);
+    holds("forced", support::gpu().clone(), LARGE, &["conv2d/scalar", "linear/planar"]);
     // The same, since there are none.
     let gpu = support::gpu().with_caps(caps([0, 0], Kind::Other));
     holds("without subgroups", gpu, SMALL, &[]);

@@ -295,9 +295,17 @@ const FAULTS: &[Fault] = &[
     Fault {
         what: "the index's last byte does not count",
         file: "top_k",
-        changes: &[("digit < 7u", "digit < 6u")],
+        changes: &[("digit < bound(7u", "digit < bound(6u")],
         op: "top_k",
         case: "ties to the last byte by hand",
+        by_hand: true,
+    },
+    Fault {
+        what: "an output has its neighbour's weights, where they are read from one address",
+        file: "conv2d/direct",
+        changes: &[("weight[at], weight[at + 1u]", "weight[at], weight[at]")],
+        op: "conv2d",
+        case: "two channels to three by hand",
         by_hand: true,
     },
     Fault {
@@ -374,10 +382,10 @@ const FAULTS: &[Fault] = &[
         what: "a dropped box drops others",
         file: "nms",
         changes: &[
-            ("if (out & (1u << bit)) == 0u {", "if true {"),
+            ("if ((out | word) & (1u << bit)) == 0u {", "if true {"),
             (
                 "survivors |= 1u << bit;",
-                "survivors |= select(1u << bit, 0u, (out & (1u << bit)) != 0u);",
+                "survivors |= select(1u << bit, 0u, ((out | word) & (1u << bit)) != 0u);",
             ),
         ],
         op: "nms",
@@ -794,8 +802,11 @@ fn each_fault_is_in_the_table() {
 #[test]
 fn a_mutant_of_each_shader_is_noticed() {
     let mut missed = Vec::new();
-    // The roof measures speed: its values are of no use to anybody.
-    for (file, text) in mutate::sources().into_iter().filter(|(file, _)| file != "roof") {
+    // The roof measures speed: its values are of no use to anybody. A hidden bound adds a 0, which may as well be
+    // subtracted. An input is one load, of which nothing can be changed.
+    let none = ["roof", "shared/bound", "shared/input"];
+    let counts = |(file, _): &(String, String)| !none.contains(&file.as_str());
+    for (file, text) in mutate::sources().into_iter().filter(counts) {
         let mutant = first_sure(&file, &text);
         let mutated = gpu().with_replacement(mutant.replacement());
         let mut noticed = false;

@@ -2,6 +2,7 @@
 //
 // One workgroup. fc2 is linear, so the two hidden vectors are added before it and b2 counts twice.
 
+// include: bound
 // include: relu
 // include: reduce
 // include: sigmoid
@@ -38,11 +39,11 @@ fn main(
     // 0, in bounds that are no uniform alone: lavapipe 22.3 may otherwise put the uniform's values into
     // the code and compile anew at each dispatch.
     let none = select(0u, 1u, workgroups.x == 0u);
-    for (var base = 0u; base < params.hidden + none; base += ROWS) {
+    for (var base = 0u; base < bound(params.hidden, none); base += ROWS) {
         let row = base + local % ROWS;
         var dot = vec2<f32>(0.0);
         if row < params.hidden {
-            for (var c = local / ROWS; c < params.channels + none; c += LANES) {
+            for (var c = local / ROWS; c < bound(params.channels, none); c += LANES) {
                 let x = vec2<f32>(pooled[c], pooled[params.channels + c]);
                 dot = fma(vec2<f32>(fc1_weight[row * params.channels + c]), x, dot);
             }
@@ -54,9 +55,9 @@ fn main(
         }
     }
     workgroupBarrier();
-    for (var c = local; c < params.channels + none; c += WORKGROUP) {
+    for (var c = local; c < bound(params.channels, none); c += WORKGROUP) {
         var logit = 2.0 * fc2_bias[c];
-        for (var r = 0u; r < params.hidden + none; r++) {
+        for (var r = 0u; r < bound(params.hidden, none); r++) {
             logit = fma(fc2_weight[c * params.hidden + r], hidden[r], logit);
         }
         output[c] = sigmoid(logit);

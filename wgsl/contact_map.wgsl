@@ -3,6 +3,7 @@
 // `differences` computes by how much each tile of 2 x 2 cells differs from its surroundings, an
 // invocation a tile. `words`, one workgroup, finds the limit for all of them and compares.
 
+// include: bound
 // include: index
 
 struct Params {
@@ -60,7 +61,7 @@ fn of_cell(x: u32, y: u32) -> f32 {
     let area = params.height * params.width;
     var lowest = cells[y * params.width + x];
     var largest = 0.0;
-    for (var c = 0u; c < 3u + params.zero; c++) {
+    for (var c = 0u; c < bound(3u, params.zero); c++) {
         lowest = min(lowest, cells[c * area + y * params.width + x]);
         largest = max(largest, difference(c, at.x, at.y, reach, 0));
         largest = max(largest, difference(c, at.x, at.y, 0, reach));
@@ -108,7 +109,7 @@ fn words(@builtin(local_invocation_index) lane: u32) {
     for (var tile = lane; tile < params.tiles; tile += LANES) {
         let needed = of_tile[tile] * params.factor;
         var step = 0u;
-        while step < STEPS + params.zero && needed > limit(step) {
+        while step < bound(STEPS, params.zero) && needed > limit(step) {
             step++;
         }
         if step < STEPS {
@@ -119,7 +120,7 @@ fn words(@builtin(local_invocation_index) lane: u32) {
     if lane == 0u {
         var below = 0u;
         var step = 0u;
-        for (; step < STEPS + params.zero; step++) {
+        for (; step < bound(STEPS, params.zero); step++) {
             below += atomicLoad(&calm[step]);
             if 4u * below >= params.tiles {
                 break;
@@ -130,7 +131,7 @@ fn words(@builtin(local_invocation_index) lane: u32) {
     let most = limit(workgroupUniformLoad(&chosen));
     for (var at = lane; at * 32u < params.tiles; at += LANES) {
         var word = 0u;
-        for (var bit = 0u; bit < min(32u + params.zero, params.tiles - at * 32u); bit++) {
+        for (var bit = 0u; bit < min(bound(32u, params.zero), params.tiles - at * 32u); bit++) {
             if of_tile[at * 32u + bit] > most {
                 word |= 1u << bit;
             }

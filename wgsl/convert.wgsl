@@ -1,5 +1,6 @@
 // A map [C, H, W] to four channels a texel, and back. A workgroup is 64 pixels of a row of a quad.
 
+// include: bound
 // include: quads
 // include: texels
 
@@ -7,9 +8,6 @@ struct Params {
     map: Quads,
     // Elements of a planar picture.
     stride: u32,
-    pad0: u32,
-    pad1: u32,
-    pad2: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -33,7 +31,7 @@ fn to_quads(
     let area = map.height * map.width;
     var value = vec4(0.0);
     var at = workgroup.z * params.stride + q * 4u * area + y * map.width + x;
-    for (var c = 0u; c < min(map.channels - q * 4u, 4u) + map.zero; c++) {
+    for (var c = 0u; c < bound(min(map.channels - q * 4u, 4u), map.zero); c++) {
         value[c] = planar[at];
         at += area;
     }
@@ -55,7 +53,7 @@ fn to_planar(
     let area = map.height * map.width;
     let value = loaded(quads_in[texel_index(map, texel(map, workgroup.z, q, y, x))]);
     var at = workgroup.z * params.stride + q * 4u * area + y * map.width + x;
-    for (var c = 0u; c < min(map.channels - q * 4u, 4u) + map.zero; c++) {
+    for (var c = 0u; c < bound(min(map.channels - q * 4u, 4u), map.zero); c++) {
         planar_out[at] = value[c];
         at += area;
     }

@@ -10,9 +10,6 @@ struct Rule {
 struct Params {
     rules: array<Rule, 16>,
     used: u32,
-    pad0: u32,
-    pad1: u32,
-    pad2: u32,
 }
 
 const MAX_WORKGROUPS: u32 = 65535u;

@@ -1,7 +1,9 @@
 // Non-maximum suppression over at most 1024 boxes, the best first.
 //
 // `mask` compares all pairs at once: bit j of row i says that box i, if kept, suppresses the later
-// box j. `scan`, one workgroup, then goes through the rows, 32 boxes at a time.
+// box j, and bit i that it takes no part itself. `scan`, one workgroup, then goes through the rows, 32 boxes at
+// a time. It is a chain of steps, so what a step needs is read at once: a load that waits for another takes a
+// GPU longer than all else here.
 
 struct Params {
     boxes: u32,
@@ -29,8 +31,11 @@ struct Params {
 @group(0) @binding(8) var<storage, read_write> output_count: array<u32>;
 
 var<workgroup> gone: array<u32, 32>;
+// The words of a block's rows that are about the block.
+var<workgroup> own: array<u32, 32>;
 var<workgroup> kept: u32;
 
+// include: bound
 // include: boxes
 // include: index
 
@@ -47,11 +52,16 @@ fn mask(
         return;
     }
     let index = order[i];
-    // A box that takes no part suppresses none, and `scan` never reads its row.
-    if scores[index] <= params.min_score {
+    let box = boxes[index];
+    let fit = scores[index] > params.min_score && box.z - box.x >= params.min_size
+        && box.w - box.y >= params.min_size;
+    // A box that takes no part suppresses none: `scan` reads its row, but does not count it.
+    if !fit {
+        if i / 32u * 32u == first {
+            suppressed[at] = 1u << (i % 32u);
+        }
         return;
     }
-    let box = boxes[index];
     var word = 0u;
     for (var j = max(first, i + 1u); j < min(first + 32u, n); j++) {
         let other = order[j];
@@ -66,37 +76,30 @@ fn mask(
     suppressed[at] = word;
 }
 
-// The boxes of a word that take no part: behind the count, too low a score, too small.
-fn unfit(word: u32, n: u32) -> u32 {
-    var bits = 0u;
-    for (var bit = 0u; bit < 32u + params.zero; bit++) {
-        let i = word * 32u + bit;
-        var fit = i < n;
-        if fit {
-            let index = order[i];
-            let box = boxes[index];
-            fit = scores[index] > params.min_score && box.z - box.x >= params.min_size
-                && box.w - box.y >= params.min_size;
-        }
-        bits |= select(1u, 0u, fit) << bit;
-    }
-    return bits;
+// Bit `bit` of `bits`, as all or none.
+fn every(bits: u32, bit: u32) -> u32 {
+    return 0u - ((bits >> bit) & 1u);
 }
 
 @compute @workgroup_size(32)
 fn scan(@builtin(local_invocation_index) lane: u32) {
     let n = min(input_count[0], params.boxes);
-    gone[lane] = unfit(lane, n);
+    gone[lane] = 0u;
     var found = 0u;
     for (var block = 0u; block * 32u < n; block++) {
+        // Rows behind the last repeat it: they do not survive.
+        let first = block * 32u;
+        let last = n - 1u;
+        own[lane] = suppressed[min(first + lane, last) * params.words + block];
         workgroupBarrier();
         if lane == 0u {
-            var out = gone[block];
+            var out = gone[block] | ~(0xffffffffu >> (31u - min(last - first, 31u)));
             var survivors = 0u;
-            for (var bit = 0u; bit < 32u + params.zero; bit++) {
-                if (out & (1u << bit)) == 0u {
+            for (var bit = 0u; bit < bound(32u, params.zero); bit++) {
+                let word = own[bit];
+                if ((out | word) & (1u << bit)) == 0u {
                     survivors |= 1u << bit;
-                    out |= suppressed[(block * 32u + bit) * params.words + block];
+                    out |= word;
                 }
             }
             kept = survivors;
@@ -104,17 +107,24 @@ fn scan(@builtin(local_invocation_index) lane: u32) {
         let survivors = workgroupUniformLoad(&kept);
         if lane < params.words {
             var out = gone[lane];
-            for (var bit = 0u; bit < 32u + params.zero; bit++) {
-                if (survivors & (1u << bit)) != 0u {
-                    out |= suppressed[(block * 32u + bit) * params.words + lane];
-                }
+            for (var bit = 0u; bit < bound(32u, params.zero); bit += 4u) {
+                let at = vec4(first + bit) + vec4(0u, 1u, 2u, 3u);
+                let word = min(at, vec4(last)) * params.words + lane;
+                let a = suppressed[word.x];
+                let b = suppressed[word.y];
+                let c = suppressed[word.z];
+                let d = suppressed[word.w];
+                out |= a & every(survivors, bit);
+                out |= b & every(survivors, bit + 1u);
+                out |= c & every(survivors, bit + 2u);
+                out |= d & every(survivors, bit + 3u);
             }
             gone[lane] = out;
         }
         if (survivors & (1u << lane)) != 0u {
             let at = found + countOneBits(survivors & ((1u << lane) - 1u));
             if at < params.max_out {
-                keep[at] = order[block * 32u + lane];
+                keep[at] = order[first + lane];
             }
         }
         found += countOneBits(survivors);

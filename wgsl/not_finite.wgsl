@@ -12,8 +12,6 @@ struct Params {
     input_stride: u32,
     count_stride: u32,
     output_stride: u32,
-    pad0: u32,
-    pad1: u32,
 }
 
 const LANES: u32 = 256u;

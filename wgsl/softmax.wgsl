@@ -16,6 +16,7 @@ const WORKGROUP: u32 = 64u;
 @group(0) @binding(2) var<storage, read> count: array<u32>;
 @group(0) @binding(3) var<storage, read_write> output: array<f32>;
 
+// include: bound
 // include: index
 // include: reduce
 

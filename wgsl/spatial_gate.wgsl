@@ -1,8 +1,10 @@
 // CBAM's spatial gate: sigmoid of a 7x7 convolution of the two pooled maps, padding 3, with bias.
 //
-// An invocation computes 8 neighbouring pixels of a row and slides a window of 8 values along it,
-// so that each value and each weight is loaded once for 8 outputs.
+// An invocation computes 8 neighbouring pixels of a row and slides a window of 8 values along it, so that each
+// value and each weight is loaded once for 8 outputs. The values of a row are loaded at once: a GPU waits as
+// long for one as for all.
 
+// include: bound
 // include: index
 // include: sigmoid
 
@@ -25,6 +27,11 @@ fn value(row: u32, x: u32) -> f32 {
     return select(0.0, pooled[row + select(0u, x, inside)], inside);
 }
 
+// Four columns from `x` on.
+fn values(row: u32, x: u32) -> vec4<f32> {
+    return vec4<f32>(value(row, x), value(row, x + 1u), value(row, x + 2u), value(row, x + 3u));
+}
+
 @compute @workgroup_size(64)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
@@ -39,31 +46,33 @@ fn main(
     let x = (index - y * spans) * 8u;
     var left = vec4<f32>(bias[0]);
     var right = left;
-    for (var plane = 0u; plane < 2u + params.zero; plane++) {
-        for (var ky = 0u; ky < 7u + params.zero; ky++) {
+    for (var plane = 0u; plane < bound(2u, params.zero); plane++) {
+        for (var ky = 0u; ky < bound(7u, params.zero); ky++) {
             let iy = y + ky - 3u;
             if iy >= params.height {
                 continue;
             }
             let row = (plane * params.height + iy) * params.width;
             let taps = (plane * 7u + ky) * 7u;
-            var near = vec4<f32>(0.0);
-            var far = vec4<f32>(0.0);
-            for (var i = 0u; i < 8u + params.zero; i++) {
-                near = vec4<f32>(near.yzw, far.x);
-                far = vec4<f32>(far.yzw, value(row, x + i - 3u));
-            }
-            for (var kx = 0u; kx < 7u + params.zero; kx++) {
+            var near = values(row, x - 3u);
+            var far = values(row, x + 1u);
+            var next = values(row, x + 5u);
+            // Of the last four only two are in reach.
+            let last = vec2<f32>(value(row, x + 9u), value(row, x + 10u));
+            var behind = vec4<f32>(last, 0.0, 0.0);
+            for (var kx = 0u; kx < bound(7u, params.zero); kx++) {
                 let tap = vec4<f32>(weight[taps + kx]);
                 left = fma(tap, near, left);
                 right = fma(tap, far, right);
                 near = vec4<f32>(near.yzw, far.x);
-                far = vec4<f32>(far.yzw, value(row, x + kx + 5u));
+                far = vec4<f32>(far.yzw, next.x);
+                next = vec4<f32>(next.yzw, behind.x);
+                behind = vec4<f32>(behind.yzw, 0.0);
             }
         }
     }
     let to = y * params.width + x;
-    for (var i = 0u; i < min(8u + params.zero, params.width - x); i++) {
+    for (var i = 0u; i < min(bound(8u, params.zero), params.width - x); i++) {
         output[to + i] = sigmoid(select(left[i & 3u], right[i & 3u], i >= 4u));
     }
 }

@@ -6,6 +6,8 @@
 // elements are in, mostly before it comes to the index. The chosen go to workgroup memory, and a
 // bitonic sort orders them.
 
+// include: bound
+
 struct Params {
     channels: u32,
     area: u32,
@@ -54,11 +56,22 @@ fn key_of(bits: u32) -> u32 {
     return select(bits | 0x80000000u, ~bits, bits > 0x80000000u);
 }
 
+// The keys of elements `i`, LANES apart, of `n`; of those past the last its own. They are read at once: a GPU
+// waits as long for one as for four.
+fn four_keys(i: u32, n: u32) -> vec4<u32> {
+    let at = min(i + LANES * vec4<u32>(0u, 1u, 2u, 3u), vec4<u32>(n - 1u));
+    let a = score_bits(at.x);
+    let b = score_bits(at.y);
+    let c = score_bits(at.z);
+    let d = score_bits(at.w);
+    return vec4<u32>(key_of(a), key_of(b), key_of(c), key_of(d));
+}
+
 // Sum of `value` over this lane and those below it.
 fn inclusive_sum(lane: u32, value: u32) -> u32 {
     var total = value;
     sums[lane] = total;
-    for (var step = 1u; step < LANES + params.zero; step *= 2u) {
+    for (var step = 1u; step < bound(LANES, params.zero); step *= 2u) {
         workgroupBarrier();
         var below = 0u;
         if lane >= step {
@@ -91,7 +104,7 @@ fn main(@builtin(local_invocation_index) lane: u32) {
     var low = 0u;
     var mask = 0u;
     var wanted = k;
-    for (var digit = 0u; digit < 7u + params.zero; digit++) {
+    for (var digit = 0u; digit < bound(7u, params.zero); digit++) {
         let in_key = digit < 4u;
         let shift = select(48u - 8u * digit, 24u - 8u * digit, in_key);
         if digit == 4u {
@@ -99,16 +112,20 @@ fn main(@builtin(local_invocation_index) lane: u32) {
         }
         atomicStore(&histogram[lane], 0u);
         workgroupBarrier();
-        for (var i = lane; i < n; i += LANES) {
-            let key = key_of(score_bits(i));
-            let inverted = LOWEST - i;
-            let matches = select(
-                key == threshold && (inverted & mask) == low,
-                (key & mask) == threshold,
-                in_key,
-            );
-            if matches {
-                atomicAdd(&histogram[(select(inverted, key, in_key) >> shift) & 255u], 1u);
+        for (var first = lane; first < n; first += 4u * LANES) {
+            let four = four_keys(first, n);
+            for (var j = 0u; j < bound(4u, params.zero); j++) {
+                let i = first + j * LANES;
+                let key = four[j];
+                let inverted = LOWEST - i;
+                let matches = select(
+                    key == threshold && (inverted & mask) == low,
+                    (key & mask) == threshold,
+                    in_key,
+                );
+                if i < n && matches {
+                    atomicAdd(&histogram[(select(inverted, key, in_key) >> shift) & 255u], 1u);
+                }
             }
         }
         workgroupBarrier();
@@ -141,12 +158,16 @@ fn main(@builtin(local_invocation_index) lane: u32) {
         atomicStore(&filled, 0u);
     }
     workgroupBarrier();
-    for (var i = lane; i < n; i += LANES) {
-        let key = key_of(score_bits(i));
-        if key > threshold || (key == threshold && LOWEST - i >= low) {
-            let at = atomicAdd(&filled, 1u);
-            keys[at] = key;
-            positions[at] = i;
+    for (var first = lane; first < n; first += 4u * LANES) {
+        let four = four_keys(first, n);
+        for (var j = 0u; j < bound(4u, params.zero); j++) {
+            let i = first + j * LANES;
+            let key = four[j];
+            if i < n && (key > threshold || (key == threshold && LOWEST - i >= low)) {
+                let at = atomicAdd(&filled, 1u);
+                keys[at] = key;
+                positions[at] = i;
+            }
         }
     }
     workgroupBarrier();

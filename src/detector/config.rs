@@ -150,6 +150,9 @@ pub struct Config {
     pub tuned_kernels: Option<PathBuf>,
     /// Let wgpu check the shaders' bounds (slower; see [`GpuOptions::bounds_checks`]).
     pub bounds_checks: bool,
+    /// Time each stage on the device. A GPU then ends a pass after each; without, it runs all of a picture in one,
+    /// and [`Detections::stages`] has what the host did alone.
+    pub stage_times: bool,
     /// Keep every stage's tensor, for [`crate::verify::stages`]; takes more memory, and nothing
     /// of a picture is left out.
     pub keep_stages: bool,
@@ -203,6 +206,7 @@ impl Config {
             kernels: KernelChoice::default(),
             tuned_kernels: None,
             bounds_checks: false,
+            stage_times: true,
             keep_stages: false,
             faults: None,
         }

@@ -10,7 +10,7 @@ use crate::detector::pool::{Pool, Slots};
 use crate::detector::{Config, Device};
 #[cfg(feature = "cpu")]
 use crate::engine::cpu::{self, CpuPlan};
-use crate::engine::gpu::{Deadline, Inputs, Program, ProgramOptions};
+use crate::engine::gpu::{Deadline, Inputs, Profile, Program, ProgramOptions};
 use crate::engine::graph::{Graph, StageTime, TensorId, Values};
 #[cfg(feature = "cpu")]
 use crate::engine::lock::lock;
@@ -107,7 +107,9 @@ impl Runner {
                     Some(Self::Gpu(slots)) => Some(slots.program()),
                     _ => None,
                 };
-                let program = Program::new(gpu, &lowered, like, ProgramOptions::default()).await?;
+                let profile = if config.stage_times { Profile::Stages } else { Profile::Off };
+                let options = ProgramOptions { profile, ..ProgramOptions::default() };
+                let program = Program::new(gpu, &lowered, like, options).await?;
                 Self::Gpu(Slots::new(Arc::new(program), pool.clone()).await?)
             }
             (None, Device::Reference) => Self::Reference,

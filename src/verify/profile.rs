@@ -233,7 +233,7 @@ mod tests {
         let output = graph.apply1("conv", op, &[input, weight]).expect("a map");
         graph.mark_output(output);
         let value = Value::from(Tensor::<f32>::zeros([64, 64, 64]));
-        let how = (&KernelChoice::force("conv2d/alone").expect("a kernel"), Precision::F32);
+        let how = (&KernelChoice::force("conv2d/scalar").expect("a kernel"), Precision::F32);
         let times = commands(&gpu, &graph, &[(input, &value)], how, 2).expect("times");
         assert!(times.iter().any(|time| time.what == "copy"), "{times:?}");
         let none: Vec<_> = times.iter().filter(|time| time.time.is_zero()).collect();

@@ -1,5 +1,6 @@
 // Average and maximum of each channel over space: [C, H, W] to [2, C]. A workgroup a channel.
 
+// include: bound
 // include: index
 // include: reduce
 

@@ -4,6 +4,7 @@
 // Each adds up the pixels of a row, then the rows, so that no sum is long; then one invocation adds
 // up the eight of a channel. `finish` brings the chunks together where there are several.
 
+// include: bound
 // include: quads
 // include: texels
 
@@ -17,9 +18,6 @@ struct Params {
     // Elements of a picture of `partials`, and of `output`.
     partial_stride: u32,
     output_stride: u32,
-    pad0: u32,
-    pad1: u32,
-    pad2: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -70,7 +68,7 @@ fn main(
     let part = offset % 4u;
     let of_maxima = lane >= 32u;
     var total = select(sums[source][part], maxima[source][part], of_maxima);
-    for (var i = 1u; i < 8u + map.zero; i++) {
+    for (var i = 1u; i < bound(8u, map.zero); i++) {
         let a = sums[source + i][part];
         let b = maxima[source + i][part];
         total = select(total + a, max(total, b), of_maxima);

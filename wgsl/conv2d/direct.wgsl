@@ -1,10 +1,11 @@
 // 2-D convolution with bias, optional residual and ReLU, on maps of four channels a texel.
 //
-// One invocation computes CHANNELS outputs at each of PIXELS pixels side by side. With SUBGROUPS the
-// lanes of a subgroup work on different pixels, those of small maps on several pictures, and the same
-// channels: a texel of weights is read by one lane and spread to all. With THREE_TAPS, the kernel is of
-// 3 × 3, and the taps of a row share the inputs that they have in common: the pixels of a strip lie as far
-// apart as the taps, or, with STRIDE_TWO, side by side.
+// One invocation computes CHANNELS outputs at each of PIXELS pixels side by side. Those of a workgroup work on
+// different pixels, those of small maps on several pictures, and the same channels. So all need the same
+// weights: with SUBGROUPS one lane reads a texel of them and spreads it to its subgroup, without they are
+// read from one address, which compilers turn into scalar loads. With THREE_TAPS, the kernel is of 3 × 3, and the
+// taps of a row share the inputs that they have in common: the pixels of a strip lie as far apart as the
+// taps, or, with STRIDE_TWO, side by side.
 //
 // A block of quads of input channels is summed for itself and then added to the total: shorter
 // sums lose fewer digits. Where the blocks are split, a workgroup sums some of them as a picture of its
@@ -12,8 +13,10 @@
 //
 // Constants: WORKGROUP invocations, with SUBGROUPS whole ones.
 
+// include: bound
 // include: quads
 // include: texels
+// include: input
 // include: products
 // include: relu
 
@@ -44,9 +47,9 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var input: TexelTexture;
 // A texel is one output's weights of four input channels, zero in the padding. Texels lie as they are
 // read: by tile, quad of inputs, row of the kernel, tap, output of the tile.
+#if SUBGROUPS
 #if HALF_WEIGHT
 @group(0) @binding(2) var weight: texture_storage_2d<rgba16float, read>;
 // What each output's sum is to be multiplied with: a power of two. Of whole tiles.
@@ -54,10 +57,23 @@ struct Params {
 #else
 @group(0) @binding(2) var weight: texture_storage_2d<rgba32float, read>;
 #endif
+#else
+@group(0) @binding(2) var<storage, read> weight: array<vec4<f32>>;
+#endif
 // Of whole tiles.
 @group(0) @binding(3) var<storage, read> bias: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> residual: array<Texel>;
 @group(0) @binding(5) var<storage, read_write> output: array<OutputTexel>;
+
+#if SUBGROUPS
+alias WeightPlace = vec2<u32>;
+#else
+alias WeightPlace = u32;
+
+fn four_weights(at: u32) -> Four {
+    return Four(weight[at], weight[at + 1u], weight[at + 2u], weight[at + 3u]);
+}
+#endif
 
 // Inputs that the pixels and taps of a strip have between them, and where those of each tap begin.
 #if THREE_TAPS
@@ -88,7 +104,6 @@ fn pixels(strip: ptr<function, Strip>, at: u32) -> mat4x4<f32> {
     ));
 }
 
-#if SUBGROUPS
 const PIXELS: u32 = 4u;
 const CHANNELS: u32 = 16u;
 
@@ -103,12 +118,13 @@ struct Sums {
 // Sums with a tap whose weights begin at `at` and whose inputs begin at `first_input` of the strip.
 fn add_tap(
     sums: Sums,
-    at: vec2<u32>,
+    at: WeightPlace,
     lane: u32,
     strip: ptr<function, Strip>,
     first_input: u32,
 ) -> Sums {
     let x = pixels(strip, first_input);
+#if SUBGROUPS
 #if FOUR_LANES
     let own = at + vec2<u32>(lane % 4u, 0u);
     return Sums(
@@ -138,6 +154,14 @@ fn add_tap(
     );
 #endif
 #endif
+#else
+    return Sums(
+        add_products(sums.a, four_weights(at), x),
+        add_products(sums.b, four_weights(at + 4u), x),
+        add_products(sums.c, four_weights(at + 8u), x),
+        add_products(sums.d, four_weights(at + 12u), x),
+    );
+#endif
 }
 
 fn join(a: Sums, b: Sums) -> Sums {
@@ -155,47 +179,6 @@ fn texels(sums: Sums) -> array<vec4<f32>, 16> {
         c[0], c[1], c[2], c[3], d[0], d[1], d[2], d[3],
     );
 }
-#else
-const PIXELS: u32 = 8u;
-const CHANNELS: u32 = 4u;
-
-// Four pixels each.
-struct Sums {
-    a: mat4x4<f32>,
-    b: mat4x4<f32>,
-}
-
-// Sums with a tap whose weights begin at `at` and whose inputs begin at `first_input` of the strip.
-fn add_tap(
-    sums: Sums,
-    at: vec2<u32>,
-    lane: u32,
-    strip: ptr<function, Strip>,
-    first_input: u32,
-) -> Sums {
-    let w = Four(
-        textureLoad(weight, at),
-        textureLoad(weight, at + vec2<u32>(1u, 0u)),
-        textureLoad(weight, at + vec2<u32>(2u, 0u)),
-        textureLoad(weight, at + vec2<u32>(3u, 0u)),
-    );
-    return Sums(
-        add_products(sums.a, w, pixels(strip, first_input)),
-        add_products(sums.b, w, pixels(strip, first_input + 4u)),
-    );
-}
-
-fn join(a: Sums, b: Sums) -> Sums {
-    return Sums(a.a + b.a, a.b + b.b);
-}
-
-// Four outputs a texel, of each pixel.
-fn texels(sums: Sums) -> array<vec4<f32>, 8> {
-    let a = transpose(sums.a);
-    let b = transpose(sums.b);
-    return array<vec4<f32>, 8>(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3]);
-}
-#endif
 
 // Where the quad behind another lies. Division is slow.
 fn beside(corner: vec2<u32>) -> vec2<u32> {
@@ -235,7 +218,7 @@ fn main(
     // 0, in bounds that are no uniform alone: lavapipe 22.3 may otherwise put the uniform's values into
     // the code and compile anew at each dispatch. Loops of a known length would be unrolled.
     let none = select(0u, 1u, workgroups.x == 0u);
-    let end = min(begin + params.split_blocks, params.blocks) + none;
+    let end = bound(min(begin + params.split_blocks, params.blocks), none);
     let width = params.input.width;
     let height = params.input.height;
     let dilation = params.dilation;
@@ -244,19 +227,25 @@ fn main(
     let kernel_height = 3u;
     let kernel_width = 3u;
 #else
-    let kernel_height = params.kernel_height + none;
-    let kernel_width = params.kernel_width + none;
+    let kernel_height = bound(params.kernel_height, none);
+    let kernel_width = bound(params.kernel_width, none);
 #endif
     // From one input of a strip to the next.
     let step = params.stride * spacing;
-    let block_quads = params.block_quads + none;
+    let block_quads = bound(params.block_quads, none);
 
     // The taps of a row that are added together lie side by side.
     let taps = TAPS * CHANNELS;
-    let taps_of_row = params.weight_width / taps;
     let taps_of_block = block_quads * kernel_height * kernel_width / TAPS;
     let first_taps = (tile * params.blocks + begin) * taps_of_block;
+#if SUBGROUPS
+    let taps_of_row = params.weight_width / taps;
     var at = vec2<u32>(first_taps % taps_of_row * taps, first_taps / taps_of_row);
+    let second = vec2<u32>(CHANNELS, 0u);
+#else
+    var at = first_taps * taps;
+    let second = CHANNELS;
+#endif
     // A quad of inputs, and where it lies. The last block may have fewer quads than others: what is
     // read again has weights of zero, and counts as zero lest it be infinite.
     let first_quad = tile / params.group_tiles * params.group_quads;
@@ -284,17 +273,22 @@ fn main(
 #else
                         let in_x = first_column + j * step;
 #endif
-                        let x = textureLoad(input, vec2<u32>(corner.x + min(in_x, width - 1u), row));
+                        let column = corner.x + min(in_x, width - 1u);
+                        let x = input_at(params.input, vec2<u32>(column, row));
                         strip[j] =
                             select(vec4<f32>(), x, exists & (in_y < height) & (in_x < width));
                     }
                     part = add_tap(part, at, lane, &strip, 0u);
 #if THREE_TAPS
-                    part = add_tap(part, at + vec2<u32>(CHANNELS, 0u), lane, &strip, SECOND);
-                    part = add_tap(part, at + vec2<u32>(2u * CHANNELS, 0u), lane, &strip, THIRD);
+                    part = add_tap(part, at + second, lane, &strip, SECOND);
+                    part = add_tap(part, at + 2u * second, lane, &strip, THIRD);
 #endif
+#if SUBGROUPS
                     at.x += taps;
                     at = select(at, vec2<u32>(0u, at.y + 1u), at.x == params.weight_width);
+#else
+                    at += taps;
+#endif
 #if !THREE_TAPS
                 }
 #endif
@@ -307,14 +301,14 @@ fn main(
 
     var sums = texels(total);
     var out_quad = tile * (CHANNELS / 4u);
-    for (var i = 0u; i < CHANNELS / 4u + none; i++) {
+    for (var i = 0u; i < bound(CHANNELS / 4u, none); i++) {
         let first_at = texel_index(
             params.output,
             texel(params.output, picture * workgroups.z + workgroup.z, out_quad, out_y, out_x),
         );
         let channel = out_quad * 4u + vec4<u32>(0u, 1u, 2u, 3u);
         let exists = channel < vec4<u32>(params.output.channels);
-        for (var j = 0u; j < PIXELS + none; j++) {
+        for (var j = 0u; j < bound(PIXELS, none); j++) {
             if (index <= last) & (out_x + j * spacing < params.output.width) & exists.x {
                 let at = first_at + j * spacing;
 #if HALF_WEIGHT

@@ -5,21 +5,19 @@
 //
 // One invocation transforms four channels of a tile: Bᵀ d B, columns, then rows.
 
+// include: bound
 // include: quads
 // include: texels
+// include: input
 
 struct Params {
     input: Quads,
     // Channels of point after point; a tile is a pixel.
     points: Quads,
     tile_columns: u32,
-    pad0: u32,
-    pad1: u32,
-    pad2: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var input: TexelTexture;
 @group(0) @binding(2) var<storage, read_write> points: array<vec4<f32>>;
 
 const WORKGROUP: u32 = 16u;
@@ -62,12 +60,12 @@ fn main(
     let top = tile / params.tile_columns * 4u - 1u;
     let left = tile % params.tile_columns * 4u - 1u;
     // A bound that compilers do not see: unrolled, loads take long to compile.
-    let six = 6u + map.zero;
+    let six = bound(6u, map.zero);
     for (var x = 0u; x < six; x++) {
         for (var y = 0u; y < six; y++) {
             let inside = (top + y < map.height) & (left + x < map.width);
             let at = vec2<u32>(min(left + x, map.width - 1u), min(top + y, map.height - 1u));
-            let value = textureLoad(input, corner + at);
+            let value = input_at(map, corner + at);
             points_of[y * 6u + x][local] = select(vec4<f32>(), value, inside);
         }
         transform(local, x, 6u);

@@ -3,6 +3,7 @@
 //
 // One invocation transforms four channels of a tile: Aᵀ m A, columns, then rows.
 
+// include: bound
 // include: quads
 // include: texels
 // include: relu
@@ -14,7 +15,6 @@ struct Params {
     tile_columns: u32,
     has_residual: u32,
     relu: u32,
-    pad0: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -58,8 +58,8 @@ fn main(
     }
     let quad = workgroup.y;
     // Bounds that compilers do not see: unrolled, loads take long to compile.
-    let six = 6u + map.zero;
-    let four = 4u + map.zero;
+    let six = bound(6u, map.zero);
+    let four = bound(4u, map.zero);
     for (var point = 0u; point < 6u * six; point++) {
         let at = texel(params.points, workgroup.z, point * map.quads + quad, 0u, tile);
         points_of[point][local] = points[texel_index(params.points, at)];

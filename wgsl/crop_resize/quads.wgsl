@@ -24,8 +24,6 @@ struct Params {
     std_r: f32,
     std_g: f32,
     std_b: f32,
-    pad0: u32,
-    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

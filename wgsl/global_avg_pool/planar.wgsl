@@ -1,5 +1,6 @@
 // Average of each channel over space: [C, H, W] to C values from `first` on. A workgroup a channel.
 
+// include: bound
 // include: index
 // include: reduce
 

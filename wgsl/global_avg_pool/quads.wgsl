@@ -3,6 +3,7 @@
 // A workgroup goes over eight quads, eight invocations to a quad. Each adds up the pixels of a row,
 // then the rows, so that no sum is long; then one invocation adds up the eight of a channel.
 
+// include: bound
 // include: quads
 // include: texels
 
@@ -11,8 +12,6 @@ struct Params {
     // Where in a picture of the output the averages go.
     first: u32,
     output_stride: u32,
-    pad0: u32,
-    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -51,7 +50,7 @@ fn main(
     let source = lane / 4u * 8u;
     let part = lane % 4u;
     var total = sums[source][part];
-    for (var i = 1u; i < 8u + map.zero; i++) {
+    for (var i = 1u; i < bound(8u, map.zero); i++) {
         total += sums[source + i][part];
     }
     output[workgroup.z * params.output_stride + params.first + channel] =

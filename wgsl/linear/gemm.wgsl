@@ -46,6 +46,7 @@ struct Params {
 @group(0) @binding(5) var<storage, read> bias: array<f32>;
 @group(0) @binding(6) var<storage, read_write> output: array<f32>;
 
+// include: bound
 // include: index
 // include: products
 // include: relu
@@ -143,9 +144,9 @@ fn partial(
         sums.a[3], sums.b[3], sums.c[3], sums.d[3],
     );
     // Bounds that compilers do not see: unrolled, the stores would take long to compile.
-    let used = min(ROWS + params.zero, rows - first_row);
+    let used = min(bound(ROWS, params.zero), rows - first_row);
     let row_width = params.tiles * tile_width;
-    for (var output_index = 0u; output_index < 4u + params.zero; output_index++) {
+    for (var output_index = 0u; output_index < bound(4u, params.zero); output_index++) {
         var to = (slice * params.rows + first_row) * row_width
             + tile * tile_width + output_index * WORKGROUP + local;
         for (var row = 0u; row < used; row++) {

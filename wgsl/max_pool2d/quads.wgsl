@@ -14,7 +14,6 @@ struct Params {
     kernel: u32,
     stride: u32,
     padding: u32,
-    pad0: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

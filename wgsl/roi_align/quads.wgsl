@@ -2,8 +2,10 @@
 //
 // One invocation computes one bin of sixteen channels, which share their sampling points.
 
+// include: bound
 // include: quads
 // include: texels
+// include: input
 // include: neighbours
 
 struct Params {
@@ -16,17 +18,15 @@ struct Params {
     box_stride: u32,
     count_stride: u32,
     output_stride: u32,
-    pad0: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var features: TexelTexture;
 @group(0) @binding(2) var<storage, read> boxes: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> count: array<u32>;
 @group(0) @binding(4) var<storage, read_write> output: array<f32>;
 
 fn load(origin: vec2<u32>, y: u32, x: u32) -> vec4<f32> {
-    return textureLoad(features, origin + vec2(x, y));
+    return input_at(params.map, origin + vec2(x, y));
 }
 
 // A sample of the quad that begins at `origin`.
@@ -45,7 +45,7 @@ fn store(picture: u32, roi: u32, bin: u32, quad: u32, value: vec4<f32>) {
         return;
     }
     let first = picture * params.output_stride + (roi * map.channels + 4u * quad) * bins + bin;
-    for (var i = 0u; i < min(4u + map.zero, map.channels - 4u * quad); i++) {
+    for (var i = 0u; i < min(bound(4u, map.zero), map.channels - 4u * quad); i++) {
         output[first + i * bins] = value[i];
     }
 }

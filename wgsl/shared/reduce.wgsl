@@ -11,7 +11,7 @@ var<workgroup> partial: array<vec2<f32>, WORKGROUP>;
 fn tree_sum(local: u32, value: vec2<f32>, keep: u32) -> vec2<f32> {
     partial[local] = value;
     workgroupBarrier();
-    for (var half = WORKGROUP / 2u; half >= keep + params.zero; half /= 2u) {
+    for (var half = WORKGROUP / 2u; half >= bound(keep, params.zero); half /= 2u) {
         if local < half {
             partial[local] += partial[local + half];
         }
@@ -27,7 +27,7 @@ fn tree_sum(local: u32, value: vec2<f32>, keep: u32) -> vec2<f32> {
 fn tree_sum_max(local: u32, value: vec2<f32>, keep: u32) -> vec2<f32> {
     partial[local] = value;
     workgroupBarrier();
-    for (var half = WORKGROUP / 2u; half >= keep + params.zero; half /= 2u) {
+    for (var half = WORKGROUP / 2u; half >= bound(keep, params.zero); half /= 2u) {
         if local < half {
             let a = partial[local];
             let b = partial[local + half];

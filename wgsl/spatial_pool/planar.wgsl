@@ -3,6 +3,7 @@
 // A workgroup computes 32 neighbouring pixels; 8 invocations share a pixel's channels, so that the
 // deep, small maps keep a GPU busy too.
 
+// include: bound
 // include: index
 // include: reduce
 

@@ -15,8 +15,6 @@ struct Params {
     // Quads of a block, and blocks of a picture.
     block: u32,
     blocks: u32,
-    pad0: u32,
-    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -9,7 +9,6 @@ struct Params {
     weight_stride: u32,
     // Invocations of a picture.
     invocations: u32,
-    pad0: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

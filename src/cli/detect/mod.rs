@@ -149,6 +149,8 @@ impl Args {
         config.score = self.conf;
         config.max_detections = self.max_det.into();
         config.classes = self.classes.clone();
+        // A table does not show them.
+        config.stage_times = self.json;
         config.keep_stages = self.dump_stages.is_some();
         Ok(config)
     }

@@ -1,7 +1,6 @@
 //! Adapters: which there are, which one is asked for, and whether it gives what the kernels use.
 
-use std::sync::OnceLock;
-
+use crate::engine::gpu::quirks::instance;
 use crate::engine::kernels::{Caps, Kind, MAX_WORKGROUPS};
 use crate::error::{Error, Result};
 
@@ -152,7 +151,7 @@ pub(super) fn caps(
             wgpu::DeviceType::Cpu => Kind::Software,
             wgpu::DeviceType::VirtualGpu | wgpu::DeviceType::Other => Kind::Other,
         },
-        // `memory::uneven` may add one.
+        // `quirks::uneven` may add one.
         texture_side: limits.max_texture_dimension_2d.saturating_sub(1),
         buffer_bytes: limits.max_storage_buffer_binding_size,
     }
@@ -161,22 +160,6 @@ pub(super) fn caps(
 /// Features that kernels use where an adapter has them.
 pub(super) fn wanted_features() -> wgpu::Features {
     wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::SUBGROUP
-}
-
-/// The process's one instance. It is never dropped: with the last one the Vulkan loader unloads the
-/// driver, and what lavapipe leaves to be called at the process's end is then no longer there, which
-/// ended one in twenty programs that stopped soon after their device.
-fn instance() -> &'static wgpu::Instance {
-    static INSTANCE: OnceLock<wgpu::Instance> = OnceLock::new();
-    INSTANCE.get_or_init(|| {
-        let mut desc = wgpu::InstanceDescriptor::new_without_display_handle();
-        desc.backends = wgpu::Backends::PRIMARY;
-        // wgpu need not look at every indirect grid once more on the device: `indirect_grid` keeps to
-        // the limits whatever the count, and nothing that is dispatched so reads how many workgroups
-        // there are. `Program` refuses what does, and a test of `crate::engine::lower` looks at every kernel.
-        desc.flags.remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
-        wgpu::Instance::new(desc)
-    })
 }
 
 fn rank(info: &wgpu::AdapterInfo) -> u8 {

@@ -2,22 +2,13 @@
 
 use crate::engine::gpu::device::Device;
 use crate::engine::gpu::faults::{Call, Fault};
+use crate::engine::gpu::quirks::uneven;
 use crate::engine::kernels::Storage;
 use crate::engine::lock::lock;
 use crate::engine::precision::Precision;
 
 /// Bytes of weights that may wait to be uploaded, and that are passed on at a time.
 const UPLOAD_BYTES: usize = 8 << 20;
-
-/// A side of a texture that is no power of two and holds `texels`: lavapipe (Mesa 22.3) compiles a shader
-/// for textures whose sides are, and once more for others.
-pub(super) fn uneven(texels: u32) -> u32 {
-    match texels {
-        0 => 0,
-        1 | 2 => 3,
-        more => more + u32::from(more.is_power_of_two()),
-    }
-}
 
 /// The format of a texture of four channels.
 pub(super) fn texture_format(precision: Precision) -> wgpu::TextureFormat {

@@ -6,6 +6,7 @@
 //!
 //! | file | what it holds |
 //! |---|---|
+//! | `quirks` | what is one driver's affair |
 //! | `adapter` | which adapters there are, what they give, and which is taken |
 //! | `faults`, `clock`, `deadline`, `landing` | calls that fail in tests; when and what waiting futures hear |
 //! | `loss` | whether a device is gone, and why |
@@ -38,6 +39,7 @@ mod poison;
 #[cfg(not(target_family = "wasm"))]
 mod poller;
 mod program;
+mod quirks;
 mod slot;
 
 #[cfg(target_family = "wasm")]

@@ -8,7 +8,8 @@ use std::sync::{Arc, Mutex};
 
 use crate::engine::gpu::device::Device;
 use crate::engine::gpu::faults::{Call, Fault};
-use crate::engine::gpu::memory::{texture_format, uneven};
+use crate::engine::gpu::memory::texture_format;
+use crate::engine::gpu::quirks;
 use crate::engine::kernels::{Command, Dispatch, Recording};
 use crate::engine::lock::lock;
 use crate::engine::precision::Precision;
@@ -72,7 +73,8 @@ impl Pipelines {
         if let Some(module) = &*made {
             return Ok(module.clone());
         }
-        let reflection = shader::reflect_with(shader, variant, &self.replacements)?;
+        let variant = quirks::variant(&device.info, variant);
+        let reflection = shader::reflect_with(shader, &variant, &self.replacements)?;
         // What is parsed is not parsed again; a browser takes text alone.
         #[cfg(not(target_family = "wasm"))]
         let source = wgpu::ShaderSource::Naga(Cow::Owned(reflection.module));
@@ -121,7 +123,7 @@ impl Pipelines {
         let compile = || async {
             while let Some((_, dispatch)) = wanted.get(next.fetch_add(1, Ordering::Relaxed)) {
                 let pipeline = self.pipeline(device, dispatch).await?;
-                if device.info.device_type == wgpu::DeviceType::Cpu {
+                if quirks::compiles_late(&device.info) {
                     warm(device, &pipeline, &dispatch.params);
                 }
             }
@@ -253,7 +255,7 @@ fn warm(device: &Device, pipeline: &Pipeline, params: &[u8]) {
     };
     device.unheard(|| {
         let views = [Precision::F32, Precision::F16].map(|precision| {
-            let texture = device.create_texture(uneven(1), uneven(1), precision);
+            let texture = device.create_texture(quirks::uneven(1), quirks::uneven(1), precision);
             texture.create_view(&Default::default())
         });
         let uniform = buffer(wgpu::BufferUsages::UNIFORM);

@@ -517,8 +517,8 @@ mod tests {
             let got = slot.run(&[(input, &value)]).expect("a run").first()[&output].clone();
             (program, got)
         };
-        let (alone, want) = run("conv2d/alone", None);
-        let (_, got) = run("conv2d/direct", Some(&alone));
+        let (scalar, want) = run("conv2d/scalar", None);
+        let (_, got) = run("conv2d/direct", Some(&scalar));
         assert_eq!(got, want);
     }
 }

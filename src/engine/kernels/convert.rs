@@ -10,9 +10,6 @@ shader_params! {
     struct Params {
         map: Quads,
         stride: u32,
-        pad0: u32,
-        pad1: u32,
-        pad2: u32,
     }
 }
 
@@ -61,7 +58,7 @@ impl Convert {
                 ));
             }
         };
-        let params = Params { map, stride: recording.stride(planar), pad0: 0, pad1: 0, pad2: 0 };
+        let params = Params { map, stride: recording.stride(planar) };
         let rows = map.quads * map.height;
         let names = match entry {
             "to_quads" => ["planar", "quads"],

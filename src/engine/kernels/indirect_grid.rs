@@ -12,9 +12,6 @@ shader_params! {
     struct Params {
         rules: [[u32; 4]; MOST],
         used: u32,
-        pad0: u32,
-        pad1: u32,
-        pad2: u32,
     }
 }
 

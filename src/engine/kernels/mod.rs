@@ -111,6 +111,23 @@ impl Caps {
     pub fn has_many_cores(&self) -> bool {
         self.kind != Kind::Software
     }
+
+    /// Whether what all invocations read from one address comes to scalar registers, and a broadcast from a lane
+    /// takes an instruction in each of them: AMD's GPUs, which alone have subgroups of these sizes.
+    pub fn has_scalar_registers(&self) -> bool {
+        self.subgroup_min >= 32 && self.subgroup_max == 64
+    }
+
+    /// How maps lie that a kernel reads over and over: software adapters read textures twice as fast as buffers,
+    /// and copy to them. See `wgsl/shared/input.wgsl`.
+    fn input_layout(&self) -> Layout {
+        if self.kind == Kind::Software { Layout::Texture } else { Layout::Quads }
+    }
+
+    /// The variant of a shader with `wgsl/shared/input.wgsl`.
+    fn input_variant(&self) -> Variant {
+        Variant::default().with("TEXTURE", self.input_layout() == Layout::Texture)
+    }
 }
 
 /// What an adapter is.
@@ -265,10 +282,11 @@ static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
     (
         "conv2d",
         &[
-            &conv2d::Direct(conv2d::Manner::Split),
+            &conv2d::Direct { weights: conv2d::Weights::Spread, split: true },
+            &conv2d::Direct { weights: conv2d::Weights::Scalar, split: true },
             &conv2d::Winograd,
-            &conv2d::Direct(conv2d::Manner::Whole),
-            &conv2d::Direct(conv2d::Manner::Alone),
+            &conv2d::Direct { weights: conv2d::Weights::Spread, split: false },
+            &conv2d::Direct { weights: conv2d::Weights::Scalar, split: false },
             &conv2d::Planar,
         ],
     ),

@@ -87,8 +87,6 @@ impl Kernel for Planar {
         let grid = Grid::linear(n * words, 64);
         recording.dispatch(Dispatch::new(&SHADER, "mask", &params, &bindings, grid));
         let bindings = [
-            ("boxes", boxes),
-            ("scores", scores),
             ("order", order),
             ("input_count", count),
             ("suppressed", suppressed),

@@ -15,8 +15,6 @@ shader_params! {
         input_stride: u32,
         count_stride: u32,
         output_stride: u32,
-        pad0: u32,
-        pad1: u32,
     }
 }
 
@@ -60,8 +58,6 @@ impl Kernel for Planar {
             input_stride: recording.stride(inputs[0]),
             count_stride: recording.stride(count),
             output_stride: recording.stride(outputs[0]),
-            pad0: 0,
-            pad1: 0,
         };
         let bindings = [("input", inputs[0]), ("count", count), ("output", outputs[0])];
         let grid = Grid::linear(chunks, 1).pictures(recording.batch());

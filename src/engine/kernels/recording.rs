@@ -214,6 +214,11 @@ impl Recording {
         self.batch
     }
 
+    /// The adapter.
+    pub fn caps(&self) -> &Caps {
+        &self.caps
+    }
+
     /// Adds a tensor.
     pub fn tensor(&mut self, name: impl Into<String>, spec: TensorSpec, role: Role) -> TensorId {
         let stride = spec.bytes().max(4).next_multiple_of(ALIGNMENT);

@@ -1,4 +1,4 @@
-//! Weights in textures, in f32 or in f16.
+//! Packed weights: in textures, in f32 or in f16, or in a buffer.
 
 use std::sync::{Arc, OnceLock};
 
@@ -11,7 +11,7 @@ use crate::engine::tensor::{Constant, Tensor};
 /// Weights on the device.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stored {
-    /// The texels.
+    /// The texels, in a texture or in a buffer.
     pub texels: TensorId,
     /// In f16, what each output's sum is to be multiplied with.
     scale: Option<TensorId>,
@@ -48,8 +48,7 @@ impl<F: Fn(&Tensor) -> Tensor + Send + Sync + 'static> Packing<F> {
         precision: Precision,
     ) -> Stored {
         let Self { texels, outputs, tile, copies, pack } = self;
-        // Programs share constants by name and size: what lies otherwise needs another name.
-        let label = format!("{name} (packed {copies} x {tile})");
+        let label = label(name, copies, tile);
         if precision == Precision::F32 {
             let packed = weight.packed(texels, pack);
             let texels = recording.constant_texture(label, packed, precision);
@@ -75,4 +74,18 @@ impl<F: Fn(&Tensor) -> Tensor + Send + Sync + 'static> Packing<F> {
         let scale = recording.constant(format!("{name} (scale)"), scale);
         Stored { texels, scale: Some(scale) }
     }
+
+    /// The same in a buffer, in f32.
+    pub fn record_buffer(self, recording: &mut Recording, name: &str, weight: &Constant) -> Stored {
+        let Self { texels, tile, copies, pack, .. } = self;
+        let packed = weight.packed(texels, pack);
+        let texels = recording.constant(label(name, copies, tile), packed);
+        Stored { texels, scale: None }
+    }
+}
+
+/// What packed weights are called. Programs share constants by name and storage: what lies otherwise needs another
+/// name.
+fn label(name: &str, copies: usize, tile: usize) -> String {
+    format!("{name} (packed {copies} x {tile})")
 }

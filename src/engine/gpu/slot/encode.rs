@@ -1,9 +1,11 @@
 //! A run's commands, in passes, and their bindings.
 
+use std::ops::Range;
+
 use super::Slot;
 use crate::engine::gpu::faults::{Call, Fault};
 use crate::engine::gpu::memory::Resource;
-use crate::engine::gpu::program::{Place, Profile, Step, StepGrid};
+use crate::engine::gpu::program::{Profile, Step, StepGrid};
 use crate::engine::kernels::Storage;
 
 impl Slot {
@@ -59,52 +61,40 @@ impl Slot {
     pub(super) fn encode(&self, staging: &wgpu::Buffer) -> wgpu::CommandBuffer {
         let program = &self.program;
         let mut encoder = program.gpu.device.handle.create_command_encoder(&Default::default());
-        for (index, (_, range)) in program.stages.iter().enumerate() {
-            // Passes end at copies, and where each command is timed.
-            let apart = program.options.profile == Profile::Commands;
-            let is_copy = |at: usize| matches!(program.steps[at], Step::Copy { .. });
-            let mut runs: Vec<std::ops::Range<usize>> = Vec::new();
-            for at in range.clone() {
-                match runs.last_mut() {
-                    Some(run) if !apart && !is_copy(at) && !is_copy(run.start) => run.end = at + 1,
-                    _ => runs.push(at..at + 1),
-                }
-            }
-            let passes: Vec<usize> = (0..runs.len()).filter(|r| !is_copy(runs[*r].start)).collect();
-            for (r, run) in runs.iter().enumerate() {
-                let (first, last) = match program.options.profile {
-                    Profile::Off => (None, None),
-                    Profile::Commands => {
-                        let at = run.start as u32 * 2;
-                        (Some(at), Some(at + 1))
-                    }
-                    Profile::Stages => {
-                        let at = index as u32 * 2;
-                        let ends = |end: Option<&usize>| end == Some(&r);
-                        (ends(passes.first()).then_some(at), ends(passes.last()).then_some(at + 1))
-                    }
-                };
-                if let Step::Copy { from, to, width, height, row_bytes } = &program.steps[run.start]
-                {
-                    // Not every adapter has timestamps between passes: those of a copy are written by an
-                    // empty one before it, and one behind it.
-                    if apart {
-                        self.begin_pass(&mut encoder, first, None);
-                    }
-                    self.copy(&mut encoder, (*from, *to), (*width, *height), *row_bytes);
-                    if apart {
-                        self.begin_pass(&mut encoder, None, last);
-                    }
-                    continue;
-                }
-                let mut pass = self.begin_pass(&mut encoder, first, last);
-                for at in run.clone() {
-                    self.dispatch(&mut pass, at);
-                }
-            }
+        // What is timed for itself.
+        let timed: Vec<Range<usize>> = match program.options.profile {
+            _ if self.timestamps.is_none() => vec![0..program.steps.len()],
+            Profile::Off => vec![0..program.steps.len()],
+            Profile::Stages => program.stages.iter().map(|(_, range)| range.clone()).collect(),
+            Profile::Commands => (0..program.steps.len()).map(|at| at..at + 1).collect(),
+        };
+        for (index, steps) in timed.into_iter().enumerate() {
+            self.encode_timed(&mut encoder, index as u32, steps);
         }
         self.read_back(&mut encoder, staging);
         encoder.finish()
+    }
+
+    /// Steps that are timed together, in passes that end at copies.
+    fn encode_timed(&self, encoder: &mut wgpu::CommandEncoder, index: u32, steps: Range<usize>) {
+        let program = &self.program;
+        let is_copy = |at: &usize| matches!(program.steps[*at], Step::Copy { .. });
+        let copies: Vec<usize> = steps.clone().filter(is_copy).collect();
+        let starts = [steps.start].into_iter().chain(copies.iter().map(|copy| copy + 1));
+        let ends = copies.iter().copied().chain([steps.end]);
+        // Not every adapter has timestamps between passes: at a copy they are those of an empty one.
+        let last = copies.len();
+        for (part, (start, end)) in starts.zip(ends).enumerate() {
+            let begin = (part == 0).then_some(index * 2);
+            let finish = (part == last).then_some(index * 2 + 1);
+            if start < end || self.timestamps.is_some() && (begin.is_some() || finish.is_some()) {
+                let mut pass = self.begin_pass(encoder, begin, finish);
+                (start..end).for_each(|at| self.dispatch(&mut pass, at));
+            }
+            if part < last {
+                self.copy(encoder, end);
+            }
+        }
     }
 
     /// Begins a pass that writes these timestamps.
@@ -139,13 +129,10 @@ impl Slot {
         }
     }
 
-    fn copy(
-        &self,
-        encoder: &mut wgpu::CommandEncoder,
-        (from, to): (Place, Place),
-        (width, height): (u32, u32),
-        row_bytes: u32,
-    ) {
+    fn copy(&self, encoder: &mut wgpu::CommandEncoder, at: usize) {
+        let Step::Copy { from, to, width, height, row_bytes } = self.program.steps[at] else {
+            return;
+        };
         let (from, to) = (self.resource(from, 0), self.resource(to, 0));
         let (Some(Resource::Buffer(from)), Some(Resource::Texture(to, _))) = (from, to) else {
             return;

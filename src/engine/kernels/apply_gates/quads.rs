@@ -12,8 +12,6 @@ shader_params! {
         map: layout::Quads,
         channel_gate_stride: u32,
         spatial_gate_stride: u32,
-        pad0: u32,
-        pad1: u32,
     }
 }
 
@@ -61,8 +59,6 @@ impl Kernel for Quads {
             map,
             channel_gate_stride: recording.stride(inputs[1]),
             spatial_gate_stride: recording.stride(inputs[2]),
-            pad0: 0,
-            pad1: 0,
         };
         let bindings = [
             ("input", inputs[0]),

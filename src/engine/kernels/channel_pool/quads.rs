@@ -19,9 +19,6 @@ shader_params! {
         divisor: f32,
         partial_stride: u32,
         output_stride: u32,
-        pad0: u32,
-        pad1: u32,
-        pad2: u32,
     }
 }
 
@@ -85,9 +82,6 @@ impl Kernel for Quads {
             divisor,
             partial_stride: recording.stride(partials),
             output_stride: recording.stride(output),
-            pad0: 0,
-            pad1: 0,
-            pad2: 0,
         };
         let bindings = [("input", input), ("partials", partials)];
         let grid = Grid::Workgroups([chunks, map.quads.div_ceil(8), recording.batch()]);

@@ -72,12 +72,13 @@ impl Taps {
         if self == Self::One { 1 } else { 3 }
     }
 
-    /// `weights` says how those are stored; for the maps see [`Recording::dispatch_maps`].
-    fn variant(self, tile: &Tile, weights: Precision) -> Variant {
-        let variant = Variant::of(&[("WORKGROUP", tile.workgroup)]);
+    /// `weights` says how those are stored in textures; for the maps see [`Recording::dispatch_maps`].
+    fn variant(self, tile: &Tile, weights: Precision, caps: &Caps) -> Variant {
+        let constants = vec![("WORKGROUP", tile.workgroup)];
+        let variant = Variant { constants, ..caps.input_variant() };
         let variant = Lanes::variant(tile.lanes, variant).with("THREE_TAPS", self.number() == 3);
         let variant = variant.with("STRIDE_TWO", self == Self::ThreeOfStrideTwo);
-        variant.with("HALF_WEIGHT", weights.is_half())
+        variant.with("HALF_WEIGHT", tile.lanes.is_some() && weights.is_half())
     }
 }
 
@@ -114,35 +115,39 @@ impl Form {
     }
 }
 
-/// How invocations share the work.
+/// How weights come to all invocations of a workgroup.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::engine::kernels) enum Manner {
-    /// The lanes of a subgroup read weights for each other.
-    Whole,
-    /// So, and sums are cut into parts, for adapters that a small map leaves idle.
-    Split,
-    /// Each invocation alone, for adapters without subgroups.
-    Alone,
+pub(in crate::engine::kernels) enum Weights {
+    /// The lanes of a subgroup read them from textures for each other.
+    Spread,
+    /// All read one address of a buffer, in f32 whatever the maps are stored in: GPUs that have scalar
+    /// registers load it once, and would have to widen an f16 in each lane.
+    Scalar,
 }
 
-/// What one invocation computes, and how many there are in a workgroup.
+/// How the invocations of a workgroup share the work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Tile {
+    /// Of [`Weights::Spread`].
     lanes: Option<Lanes>,
-    channels: usize,
-    pixels: usize,
     workgroup: u32,
 }
 
 impl Tile {
-    /// `None` where the manner needs subgroups and there are none.
-    fn of(manner: Manner, caps: &Caps) -> Option<Self> {
-        match manner {
-            Manner::Alone => Some(Self { lanes: None, channels: 4, pixels: 8, workgroup: 32 }),
-            Manner::Whole | Manner::Split => {
+    /// Output channels of an invocation.
+    const CHANNELS: usize = 16;
+    /// Pixels of an invocation.
+    const PIXELS: usize = 4;
+
+    /// `None` where weights are to be spread and there are no subgroups.
+    fn of(weights: Weights, caps: &Caps) -> Option<Self> {
+        match weights {
+            Weights::Scalar => {
+                Some(Self { lanes: None, workgroup: caps.subgroup_min.clamp(32, 64) })
+            }
+            Weights::Spread => {
                 let lanes = Lanes::of(caps)?;
-                let workgroup = lanes.workgroup;
-                Some(Self { lanes: Some(lanes), channels: 16, pixels: 4, workgroup })
+                Some(Self { lanes: Some(lanes), workgroup: lanes.workgroup })
             }
         }
     }
@@ -179,28 +184,41 @@ struct Bound {
 impl Plan {
     /// `None` for weights that fit no texture, for a grid past any adapter's limits, and without the subgroups
     /// that it needs.
-    fn of(op: &Conv2d, sizes: Sizes, manner: Manner, work: &Work) -> Option<Self> {
+    fn of(op: &Conv2d, sizes: Sizes, kernel: Direct, work: &Work) -> Option<Self> {
+        let Direct { weights, split } = kernel;
         let Sizes { in_c, out_c, kh, kw, out_h, out_w } = sizes;
-        let (form, tile) = (Form::of(op, in_c, kh, kw), Tile::of(manner, work.caps)?);
-        let strips = out_w.div_ceil(tile.pixels * form.spacing) * form.spacing;
-        let tiles = out_c.div_ceil(tile.channels);
+        let (form, tile) = (Form::of(op, in_c, kh, kw), Tile::of(weights, work.caps)?);
+        let strips = out_w.div_ceil(Tile::PIXELS * form.spacing) * form.spacing;
+        let tiles = out_c.div_ceil(Tile::CHANNELS);
         let across =
             |pictures: usize| (pictures * strips * out_h).div_ceil(tile.workgroup as usize);
         let busy = across(1) as u64 * tiles as u64;
 
-        let side = work.caps.texture_side as usize;
-        let taps = form.taps.number() * tile.channels;
-        let all = packed_texels(&sizes, &form, &tile);
-        let width = (side / taps * taps).min(all);
-        if width == 0 || all.div_ceil(width) > side {
-            return None;
-        }
+        let all = packed_texels(&sizes, &form);
+        let texels = match weights {
+            Weights::Spread => {
+                let side = work.caps.texture_side as usize;
+                let taps = form.taps.number() * Tile::CHANNELS;
+                let width = (side / taps * taps).min(all);
+                if width == 0 || all.div_ceil(width) > side {
+                    return None;
+                }
+                [width, all.div_ceil(width)]
+            }
+            Weights::Scalar => {
+                let bytes = all as u64 * u64::from(Precision::F32.texel_bytes());
+                if bytes > work.caps.buffer_bytes {
+                    return None;
+                }
+                [all, 1]
+            }
+        };
 
         let blocks = u32::try_from(form.blocks(in_c)).ok()?;
         // The order of a picture's sums must not depend on the rest of its batch.
-        let splits = match manner {
-            Manner::Split => ENOUGH.div_ceil(busy).clamp(2, MOST_SPLITS) as u32,
-            Manner::Whole | Manner::Alone => 1,
+        let splits = match split {
+            true => ENOUGH.div_ceil(busy).clamp(2, MOST_SPLITS) as u32,
+            false => 1,
         };
         let split_blocks = blocks.div_ceil(splits);
         let splits = blocks.div_ceil(split_blocks) as usize;
@@ -209,7 +227,6 @@ impl Plan {
             return None;
         }
         let [strips, grid @ ..] = [strips, grid[0], grid[1], grid[2]].map(|n| n as u32);
-        let texels = [width, all.div_ceil(width)];
         Some(Self { sizes, form, tile, strips, busy, grid, texels, split_blocks })
     }
 
@@ -218,7 +235,8 @@ impl Plan {
         self.grid[2]
     }
 
-    /// Adds the weights that `transform` makes of `weight`, whose outputs it repeats `copies` times.
+    /// Adds the weights that `transform` makes of `weight`, whose outputs it repeats `copies` times; in
+    /// `precision` where they lie in a texture.
     fn packed(
         &self,
         recording: &mut Recording,
@@ -230,12 +248,15 @@ impl Plan {
         let Self { form, tile, texels: [width, height], sizes, .. } = *self;
         let packing = Packing {
             texels: TensorSpec::f32([height, width, 4]),
-            outputs: sizes.out_c.next_multiple_of(tile.channels),
-            tile: tile.channels,
+            outputs: sizes.out_c.next_multiple_of(Tile::CHANNELS),
+            tile: Tile::CHANNELS,
             copies,
-            pack: move |w: &Tensor| pack_weight(&transform(w), &form, &tile, [width, height]),
+            pack: move |w: &Tensor| pack_weight(&transform(w), &form, [width, height]),
         };
-        packing.record(recording, name, weight, precision)
+        match tile.lanes {
+            Some(_) => packing.record(recording, name, weight, precision),
+            None => packing.record_buffer(recording, name, weight),
+        }
     }
 
     /// Appends the dispatch. Each of `groups` equal parts of the outputs sees its own part of the
@@ -281,30 +302,30 @@ impl Plan {
         let grid = Grid::Workgroups(grid);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
         let precision = recording.info(bound.weight.texels).precision;
-        let variant = form.taps.variant(&tile, precision);
+        let variant = form.taps.variant(&tile, precision, recording.caps());
         recording.dispatch_maps(dispatch.variant(variant), bound.input, bound.output);
         Ok(())
     }
 }
 
 /// Texels of the packed weights.
-fn packed_texels(sizes: &Sizes, form: &Form, tile: &Tile) -> usize {
+fn packed_texels(sizes: &Sizes, form: &Form) -> usize {
     let quads = form.blocks(sizes.in_c) * form.quads;
-    sizes.out_c.next_multiple_of(tile.channels) * quads * sizes.kh * sizes.kw
+    sizes.out_c.next_multiple_of(Tile::CHANNELS) * quads * sizes.kh * sizes.kw
 }
 
 /// `[O, I, kh, kw]` to `[tile, quad, kh, kw, output of the tile, 4]`, in rows of texels, with zeros up
 /// to whole tiles, blocks and rows.
-fn pack_weight(weight: &Tensor, form: &Form, tile: &Tile, [width, height]: [usize; 2]) -> Tensor {
+fn pack_weight(weight: &Tensor, form: &Form, [width, height]: [usize; 2]) -> Tensor {
     let [out_c, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
     let quads = form.blocks(in_c) * form.quads;
     let mut packed = Tensor::zeros([height, width, 4]);
     let to = packed.data_mut();
     for (o, kernel) in weight.data().chunks_exact(in_c * kh * kw).enumerate().take(out_c) {
         for (i, taps) in kernel.chunks_exact(kh * kw).enumerate() {
-            let first = (o / tile.channels * quads + i / 4) * kh * kw;
+            let first = (o / Tile::CHANNELS * quads + i / 4) * kh * kw;
             for (tap, value) in taps.iter().enumerate() {
-                let texel = (first + tap) * tile.channels + o % tile.channels;
+                let texel = (first + tap) * Tile::CHANNELS + o % Tile::CHANNELS;
                 to[texel * 4 + i % 4] = *value;
             }
         }
@@ -313,45 +334,46 @@ fn pack_weight(weight: &Tensor, form: &Form, tile: &Tile, [width, height]: [usiz
 }
 
 /// The definition, on maps of four channels a texel.
-#[derive(Debug)]
-pub(in crate::engine::kernels) struct Direct(pub Manner);
+#[derive(Clone, Copy, Debug)]
+pub(in crate::engine::kernels) struct Direct {
+    pub weights: Weights,
+    /// Whether sums are cut into parts, for adapters that a small map leaves idle.
+    pub split: bool,
+}
 
 impl Direct {
-    fn is_split(&self) -> bool {
-        self.0 == Manner::Split
-    }
-
     fn plan(&self, work: &Work) -> Option<Plan> {
         let op: &Conv2d = work.op().ok()?;
-        let plan = Plan::of(op, Sizes::of(op, work), self.0, work)?;
+        let plan = Plan::of(op, Sizes::of(op, work), *self, work)?;
         // Each part of a split sum is a map like the output.
         let parts = work.quads(&work.outputs[0])?.most_bytes(work.batch) * u64::from(plan.splits());
         let fits = weights_known(op, work.known)
             && work.has_quads(&work.inputs[0])
             && parts <= work.caps.buffer_bytes
-            && (plan.splits() > 1) == self.is_split();
+            && (plan.splits() > 1) == self.split;
         fits.then_some(plan)
     }
 }
 
 impl Kernel for Direct {
     fn id(&self) -> &'static str {
-        match self.0 {
-            Manner::Whole => "conv2d/direct",
-            Manner::Split => "conv2d/split",
-            Manner::Alone => "conv2d/alone",
+        match (self.weights, self.split) {
+            (Weights::Spread, false) => "conv2d/direct",
+            (Weights::Spread, true) => "conv2d/split",
+            (Weights::Scalar, false) => "conv2d/scalar",
+            (Weights::Scalar, true) => "conv2d/scalar_split",
         }
     }
 
     fn shaders(&self, caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        let Some(tile) = Tile::of(self.0, caps) else { return Vec::new() };
+        let Some(tile) = Tile::of(self.weights, caps) else { return Vec::new() };
         use Precision::{F16, F32};
         // Weights, what is read, and what is written; the last for the parts of a sum.
         let stored = [(F32, F32, F32), (F16, F16, F16), (F16, F16, F32), (F16, F32, F32)];
         let direct = Taps::ALL.into_iter().flat_map(|taps| {
-            stored.map(|(w, read, written)| texels(taps.variant(&tile, w), read, written))
+            stored.map(|(w, read, written)| texels(taps.variant(&tile, w, caps), read, written))
         });
-        let join = self.is_split().then(|| all_texels(&Variant::default()));
+        let join = self.split.then(|| all_texels(&Variant::default()));
         let join = join.into_iter().flatten().map(|variant| (&join::SHADER, variant));
         direct.map(|variant| (&SHADER, variant)).chain(join).collect()
     }
@@ -362,12 +384,15 @@ impl Kernel for Direct {
 
     fn preferred(&self, work: &Work) -> bool {
         let idle = |plan: Plan| plan.busy < ENOUGH;
-        !self.is_split() || work.caps.has_many_cores() && self.plan(work).is_some_and(idle)
+        let spread = Lanes::of(work.caps).is_some() && !work.caps.has_scalar_registers();
+        let weights = if spread { Weights::Spread } else { Weights::Scalar };
+        self.weights == weights
+            && (!self.split || work.caps.has_many_cores() && self.plan(work).is_some_and(idle))
     }
 
     fn reads(&self, work: &Work, index: usize) -> Layout {
         match (index, work.inputs[index].shape.rank()) {
-            (0, _) => Layout::Texture,
+            (0, _) => work.caps.input_layout(),
             // The residual; weights are repacked.
             (_, 3) => Layout::Quads,
             _ => Layout::Planar,
@@ -391,17 +416,17 @@ impl Kernel for Direct {
         let weight = recording.weights(op.name(), weight)?;
         let as_it_is: fn(&Tensor) -> Cow<'_, Tensor> = |w| Cow::Borrowed(w);
         let weight = plan.packed(recording, &name, &weight, work.precision, (1, as_it_is));
-        let (out_c, tile) = (plan.sizes.out_c, plan.tile.channels);
-        let bias = padded_bias(op, recording, bias, out_c, tile)?;
+        let out_c = plan.sizes.out_c;
+        let bias = padded_bias(op, recording, bias, out_c, Tile::CHANNELS)?;
         let bias = recording.constant(format!("{name} (bias)"), bias);
         // Any readable buffer serves where there is no residual: it is not read.
         let residual = residual.copied().unwrap_or(bias);
         let (to, output) = (recording.quads(outputs[0])?, outputs[0]);
-        if !self.is_split() {
+        if !self.split {
             let bound = Bound { input, weight, bias, residual, output, to };
             return plan.dispatch(op, recording, &bound, 1);
         }
-        let zeros = Tensor::<f32>::zeros([out_c.next_multiple_of(tile)]);
+        let zeros = Tensor::<f32>::zeros([out_c.next_multiple_of(Tile::CHANNELS)]);
         let zeros = recording.constant(format!("{name} (no bias)"), zeros);
         let floats = to.texels() as usize * 4 * plan.splits() as usize;
         let parts = recording.scratch("parts", TensorSpec::f32([floats]));
@@ -430,7 +455,11 @@ impl Kernel for Direct {
         let weight = op.split(inputs).1.spec();
         let [_, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.shape.0[i]);
         let order = Form::of(op, in_c, kh, kw).order(in_c, kh, kw);
-        op.summed(inputs, order, precision).map(Some)
+        let stored = match self.weights {
+            Weights::Spread => precision,
+            Weights::Scalar => Precision::F32,
+        };
+        op.summed(inputs, order, stored).map(Some)
     }
 }
 
@@ -452,8 +481,9 @@ impl Products {
     ) -> Option<Self> {
         let out_c_all = groups * out_c;
         let sizes = Sizes { in_c, out_c: out_c_all, kh: 1, kw: 1, out_h: 1, out_w: columns };
-        let plan = Plan::of(&Conv2d::default(), sizes, Manner::Whole, work)?;
-        let whole = in_c.is_multiple_of(4) && out_c.is_multiple_of(plan.tile.channels);
+        let spread = Direct { weights: Weights::Spread, split: false };
+        let plan = Plan::of(&Conv2d::default(), sizes, spread, work)?;
+        let whole = in_c.is_multiple_of(4) && out_c.is_multiple_of(Tile::CHANNELS);
         let maps = [in_c, out_c].map(|c| TensorSpec::f32([groups * c, 1, columns]));
         let fit = maps.iter().all(|map| work.has_quads(map));
         (whole && fit).then_some(Self { plan, groups })
@@ -489,39 +519,35 @@ impl Products {
 mod tests {
     use super::*;
 
-    fn tile(channels: usize) -> Tile {
-        Tile { lanes: None, channels, pixels: 8, workgroup: 32 }
-    }
-
-    /// 5 outputs of 6 channels by a 1 × 2 kernel in tiles of 4: output o of channel i at tap t is
+    /// 17 outputs of 6 channels by a 1 × 2 kernel in tiles of 16: output o of channel i at tap t is
     /// 100o + 10i + t + 1.
     #[test]
     fn weights_lie_as_they_are_read() {
-        let weight = Tensor::from_fn([5, 6, 1, 2], |at| {
+        let weight = Tensor::from_fn([17, 6, 1, 2], |at| {
             let (o, i, tap) = (at / 12, at / 2 % 6, at % 2);
             (100 * o + 10 * i + tap + 1) as f32
         });
         let form = Form { taps: Taps::One, spacing: 1, quads: 1 };
-        let packed = pack_weight(&weight, &form, &tile(4), [8, 4]);
-        assert_eq!(packed.dims(), [4, 8, 4]);
+        let packed = pack_weight(&weight, &form, [32, 4]);
+        assert_eq!(packed.dims(), [4, 32, 4]);
         let texel = |at: usize| packed.data()[at * 4..][..4].to_vec();
         // Tile 0, quad 0: the outputs of the first tap, then those of the second.
         assert_eq!(texel(0), [1.0, 11.0, 21.0, 31.0]);
         assert_eq!(texel(3), [301.0, 311.0, 321.0, 331.0]);
-        assert_eq!(texel(4), [2.0, 12.0, 22.0, 32.0]);
+        assert_eq!(texel(16), [2.0, 12.0, 22.0, 32.0]);
         // Quad 1 has two channels; tile 1 has one output.
-        assert_eq!(texel(8), [41.0, 51.0, 0.0, 0.0]);
-        assert_eq!(texel(16), [401.0, 411.0, 421.0, 431.0]);
-        assert_eq!(texel(17), [0.0; 4]);
-        assert_eq!(texel(28), [442.0, 452.0, 0.0, 0.0]);
+        assert_eq!(texel(32), [41.0, 51.0, 0.0, 0.0]);
+        assert_eq!(texel(64), [1601.0, 1611.0, 1621.0, 1631.0]);
+        assert_eq!(texel(65), [0.0; 4]);
+        assert_eq!(texel(112), [1642.0, 1652.0, 0.0, 0.0]);
     }
 
     #[test]
     fn blocks_are_padded_with_zeros() {
         let weight = Tensor::from_fn([1, 4, 1, 1], |_| 1.0);
         let form = Form { taps: Taps::One, spacing: 1, quads: 8 };
-        let packed = pack_weight(&weight, &form, &tile(4), [32, 1]);
-        let ones: Vec<usize> = (0..128).filter(|at| packed.data()[*at] != 0.0).collect();
+        let packed = pack_weight(&weight, &form, [128, 1]);
+        let ones: Vec<usize> = (0..512).filter(|at| packed.data()[*at] != 0.0).collect();
         assert_eq!(ones, [0, 1, 2, 3]);
     }
 
@@ -543,10 +569,10 @@ mod tests {
     /// 64 channels of a pixel lie in 16 × 16 texels, 4096 bytes. To as many they are summed in two parts.
     #[test]
     fn all_parts_fit_a_buffer() {
-        let fits = |manner, buffer_bytes| {
+        let fits = |split, buffer_bytes| {
             let caps = Caps { buffer_bytes, ..Caps::default() }.with_subgroups([32, 32]);
             let inputs = [TensorSpec::f32([64, 1, 1]), TensorSpec::f32([64, 64, 1, 1])];
-            Direct(manner).fits(&Work {
+            Direct { weights: Weights::Spread, split }.fits(&Work {
                 node: 0,
                 op: &Conv2d { bias: false, ..Conv2d::default() },
                 inputs: &inputs,
@@ -557,8 +583,8 @@ mod tests {
                 caps: &caps,
             })
         };
-        assert!(fits(Manner::Split, 8192) && !fits(Manner::Split, 8191));
-        assert!(fits(Manner::Whole, 4096) && !fits(Manner::Whole, 4095));
+        assert!(fits(true, 8192) && !fits(true, 8191));
+        assert!(fits(false, 4096) && !fits(false, 4095));
     }
 
     /// Cut into parts, a sum is no deeper than whole.

@@ -5,7 +5,7 @@ mod join;
 mod planar;
 mod winograd;
 
-pub(super) use direct::{Direct, Manner};
+pub(super) use direct::{Direct, Weights};
 pub(super) use planar::Planar;
 pub(super) use winograd::Winograd;
 

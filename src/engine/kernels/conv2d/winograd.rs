@@ -25,9 +25,6 @@ mod input {
             input: Quads,
             points: Quads,
             tile_columns: u32,
-            pad0: u32,
-            pad1: u32,
-            pad2: u32,
         }
     }
 
@@ -38,7 +35,7 @@ mod input {
     };
 
     pub fn params(input: Quads, points: Quads, tile_columns: u32) -> impl bytemuck::NoUninit {
-        Params { input, points, tile_columns, pad0: 0, pad1: 0, pad2: 0 }
+        Params { input, points, tile_columns }
     }
 }
 
@@ -52,7 +49,6 @@ mod output {
             tile_columns: u32,
             has_residual: u32,
             relu: u32,
-            pad0: u32,
         }
     }
 
@@ -69,7 +65,7 @@ mod output {
         tile_columns: u32,
     ) -> impl bytemuck::NoUninit {
         let [has_residual, relu] = [op.residual, op.relu].map(u32::from);
-        Params { points, output, tile_columns, has_residual, relu, pad0: 0 }
+        Params { points, output, tile_columns, has_residual, relu }
     }
 }
 
@@ -115,11 +111,11 @@ impl Kernel for Winograd {
         "conv2d/winograd"
     }
 
-    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
+    fn shaders(&self, caps: &Caps) -> Vec<(&'static Shader, Variant)> {
         // Its products are dispatches of `conv2d/direct`.
-        let variants = all_texels(&Variant::default());
-        let both = variants.map(|v| [(&input::SHADER, v.clone()), (&output::SHADER, v)]);
-        both.into_iter().flatten().collect()
+        let first = all_texels(&caps.input_variant()).map(|variant| (&input::SHADER, variant));
+        let last = all_texels(&Variant::default()).map(|variant| (&output::SHADER, variant));
+        first.into_iter().chain(last).collect()
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -138,7 +134,7 @@ impl Kernel for Winograd {
 
     fn reads(&self, work: &Work, index: usize) -> Layout {
         match (index, work.inputs[index].shape.rank()) {
-            (0, _) => Layout::Texture,
+            (0, _) => work.caps.input_layout(),
             // The residual; weights are repacked.
             (_, 3) => Layout::Quads,
             _ => Layout::Planar,
@@ -169,7 +165,6 @@ impl Kernel for Winograd {
         let before = TensorSpec::f32([POINTS * in_c, 1, plan.tiles]);
         let after = TensorSpec::f32([POINTS * out_c, 1, plan.tiles]);
         let written = recording.map("points", before.clone(), Layout::Quads, single)?;
-        let read = recording.map("points", before, Layout::Texture, single)?;
         let sums = recording.map("points (sums)", after, Layout::Quads, single)?;
         let across = plan.tiles.div_ceil(WORKGROUP) as u32;
         let columns = plan.tile_columns as u32;
@@ -179,9 +174,17 @@ impl Kernel for Winograd {
         let params = input::params(from, recording.quads(written)?, columns);
         let bindings = [("input", input), ("points", written)];
         let grid = Grid::Workgroups([across, from.quads, batch]);
-        let dispatch = Dispatch::new(&input::SHADER, "main", &params, &bindings, grid);
+        let dispatch = Dispatch::new(&input::SHADER, "main", &params, &bindings, grid)
+            .variant(work.caps.input_variant());
         recording.dispatch_maps(dispatch, input, written);
-        recording.copy(written, read);
+        let read = match work.caps.input_layout() {
+            Layout::Texture => {
+                let texture = recording.map("points", before, Layout::Texture, single)?;
+                recording.copy(written, texture);
+                texture
+            }
+            _ => written,
+        };
 
         let weight = (&weight, work.precision);
         plan.products.record(recording, &name, read, weight, transform_weight, sums)?;

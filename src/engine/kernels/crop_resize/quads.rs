@@ -20,8 +20,6 @@ shader_params! {
         std_r: f32,
         std_g: f32,
         std_b: f32,
-        pad0: u32,
-        pad1: u32,
     }
 }
 
@@ -72,8 +70,6 @@ impl Kernel for Quads {
             std_r,
             std_g,
             std_b,
-            pad0: 0,
-            pad1: 0,
         };
         let bindings = [("picture", inputs[0]), ("crop", inputs[1]), ("output", outputs[0])];
         let grid = Grid::Workgroups([map.width.div_ceil(8), map.height.div_ceil(32), 1]);

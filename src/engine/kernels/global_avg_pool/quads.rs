@@ -15,8 +15,6 @@ shader_params! {
         map: layout::Quads,
         first: u32,
         output_stride: u32,
-        pad0: u32,
-        pad1: u32,
     }
 }
 
@@ -57,7 +55,7 @@ impl Kernel for Quads {
         for input in inputs {
             let map = recording.quads(*input)?;
             let output_stride = recording.stride(outputs[0]);
-            let params = Params { map, first, output_stride, pad0: 0, pad1: 0 };
+            let params = Params { map, first, output_stride };
             let bindings = [("input", *input), ("output", outputs[0])];
             let grid = Grid::Workgroups([1, map.quads.div_ceil(8), recording.batch()]);
             let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);

@@ -126,6 +126,11 @@ impl Kernel for Gemm {
         Plan::of(work).is_some()
     }
 
+    fn preferred(&self, work: &Work) -> bool {
+        // Compiled for AMD, `planar` has fewer instructions a product: broadcasts are instructions too.
+        !work.caps.has_scalar_registers()
+    }
+
     fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let op: &Linear = work.op()?;
         let none = || Error::tensor(op.name(), "weight", "one that fits a texture", "a larger one");

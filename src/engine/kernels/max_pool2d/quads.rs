@@ -14,7 +14,6 @@ shader_params! {
         kernel: u32,
         stride: u32,
         padding: u32,
-        pad0: u32,
     }
 }
 
@@ -62,7 +61,6 @@ impl Kernel for Quads {
             kernel: op.kernel as u32,
             stride: op.stride as u32,
             padding: op.padding as u32,
-            pad0: 0,
         };
         let bindings = [("input", inputs[0]), ("output", outputs[0])];
         let [down, quads] = [output.height.div_ceil(8), output.quads.div_ceil(2)];

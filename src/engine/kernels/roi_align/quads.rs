@@ -2,7 +2,7 @@
 
 use crate::engine::kernels::count::count_tensor;
 use crate::engine::kernels::{
-    Caps, Dispatch, Grid, Io, Kernel, Layout, MAX_WORKGROUPS, Recording, Work, layout, of_maps,
+    Caps, Dispatch, Grid, Io, Kernel, Layout, MAX_WORKGROUPS, Recording, Work, all_texels, layout,
 };
 use crate::engine::ops::RoiAlign;
 use crate::engine::shader::{Shader, Variant, shader_params};
@@ -18,7 +18,6 @@ shader_params! {
         box_stride: u32,
         count_stride: u32,
         output_stride: u32,
-        pad0: u32,
     }
 }
 
@@ -42,8 +41,8 @@ impl Kernel for Quads {
         "roi_align/quads"
     }
 
-    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        of_maps(&SHADER)
+    fn shaders(&self, caps: &Caps) -> Vec<(&'static Shader, Variant)> {
+        all_texels(&caps.input_variant()).map(|variant| (&SHADER, variant)).into()
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -52,8 +51,8 @@ impl Kernel for Quads {
             && work.has_quads(&work.inputs[0])
     }
 
-    fn reads(&self, _work: &Work, index: usize) -> Layout {
-        if index == 0 { Layout::Texture } else { Layout::Planar }
+    fn reads(&self, work: &Work, index: usize) -> Layout {
+        if index == 0 { work.caps.input_layout() } else { Layout::Planar }
     }
 
     fn batched(&self) -> bool {
@@ -74,17 +73,13 @@ impl Kernel for Quads {
             box_stride: recording.stride(inputs[1]),
             count_stride: recording.stride(count),
             output_stride: recording.stride(outputs[0]),
-            pad0: 0,
         };
-        let bindings = [
-            ("features", inputs[0]),
-            ("boxes", inputs[1]),
-            ("count", count),
-            ("output", outputs[0]),
-        ];
+        let bindings =
+            [("input", inputs[0]), ("boxes", inputs[1]), ("count", count), ("output", outputs[0])];
         let [across, quads] = [bin_groups(op, rois) as u32, map.quads.div_ceil(4)];
         let grid = Grid::Workgroups([across, quads, recording.batch()]);
-        let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
+        let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid)
+            .variant(work.caps.input_variant());
         recording.dispatch_maps(dispatch, inputs[0], outputs[0]);
         Ok(())
     }

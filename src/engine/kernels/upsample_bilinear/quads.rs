@@ -13,8 +13,6 @@ shader_params! {
         output: layout::Quads,
         block: u32,
         blocks: u32,
-        pad0: u32,
-        pad1: u32,
     }
 }
 
@@ -63,7 +61,7 @@ impl Kernel for Quads {
         let _op: &UpsampleBilinear = work.op()?;
         let (input, output) = (recording.quads(inputs[0])?, recording.quads(outputs[0])?);
         let blocks = input.quads.div_ceil(BLOCK);
-        let params = Params { input, output, block: BLOCK, blocks, pad0: 0, pad1: 0 };
+        let params = Params { input, output, block: BLOCK, blocks };
         let bindings = [("input", inputs[0]), ("output", outputs[0])];
         let [across, down] = [output.width, output.height].map(|n| n.div_ceil(8));
         let grid = Grid::Workgroups([across, down, blocks * recording.batch()]);

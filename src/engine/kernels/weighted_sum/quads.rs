@@ -13,7 +13,6 @@ shader_params! {
         texels: u32,
         weight_stride: u32,
         invocations: u32,
-        pad0: u32,
     }
 }
 
@@ -67,7 +66,7 @@ impl Kernel for Quads {
         let texels = recording.quads(outputs[0])?.texels() as u32;
         let groups = texels.div_ceil(TEXELS * 64).min(MAX_WORKGROUPS);
         let weight_stride = recording.stride(inputs[0]);
-        let params = Params { texels, weight_stride, invocations: groups * 64, pad0: 0 };
+        let params = Params { texels, weight_stride, invocations: groups * 64 };
         let maps = MAPS.into_iter().zip(inputs[1..].iter().copied());
         let ends = [("weights", inputs[0]), ("output", outputs[0])];
         let bindings: Vec<_> = ends.into_iter().chain(maps).collect();

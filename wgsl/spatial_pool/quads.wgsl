@@ -52,16 +52,17 @@ fn main(
     let end = select(0u, min(first + params.slice_quads, map.quads), inside);
     var at = texel(map, workgroup.z, first, y, x);
     let gates = workgroup.z * params.gate_stride / 4u;
+    // Where there is no far pixel, it is the near one again; nobody stores it then.
+    let apart = select(0u, 8u, x + 8u < map.width);
     var near_sum = vec4(0.0);
     var near_largest = vec4(lowest(map));
     var far_sum = vec4(0.0);
     var far_largest = near_largest;
     for (var q = first; q < end; q++) {
         let gate = channel_gate[gates + q];
-        // The far pixel may lie between the width and the pitch; nobody stores it then.
         let index = texel_index(map, at);
         let near = loaded(input[index]) * gate;
-        let far = loaded(input[index + 8u]) * gate;
+        let far = loaded(input[index + apart]) * gate;
         near_sum += near;
         near_largest = max(near_largest, near);
         far_sum += far;

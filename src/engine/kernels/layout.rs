@@ -15,14 +15,15 @@ pub enum Layout {
     Texture,
 }
 
-/// Bytes to which rows are padded: so a copy from a buffer to a texture wants them.
+/// Bytes to which rows are padded that are copied to textures: so a copy wants them.
 const PITCH: u32 = 256;
 
 /// Where the channels of a map `[C, H, W]` lie, four a texel, in a buffer or in a texture: mirror of
 /// `Quads` in `wgsl/shared/quads.wgsl`.
 ///
-/// Texel (q, y, x) holds channels 4q to 4q + 3 of pixel (y, x), zeros past the last. Quads stand side
-/// by side in so many columns that both sides fit a texture; pictures stand one below the other.
+/// Texel (q, y, x) holds channels 4q to 4q + 3 of pixel (y, x), zeros past the last. Pictures stand one below the
+/// other, and so do quads; where maps are copied to textures, quads stand side by side in so many columns that both
+/// sides fit.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Quads {
@@ -47,22 +48,30 @@ pub struct Quads {
 impl Quads {
     /// The arrangement of a map for `batch` pictures in a program that stores maps in `precision`, also of those
     /// that it stores in f32: kernels write a map where another of its size lies. `None` for what is no map
-    /// `[C, H, W]`, is too large for the adapter's buffers, or for its textures however it is arranged, or has
-    /// more rows of quads than a dimension of a grid has workgroups.
+    /// `[C, H, W]`, is too large for the adapter's buffers, or, where it is copied to textures, for those however
+    /// it is arranged, or has more rows of quads than a dimension of a grid has workgroups.
     pub fn of(spec: &TensorSpec, precision: Precision, batch: u32, caps: &Caps) -> Option<Self> {
         let [channels, height, width] = <[usize; 3]>::try_from(spec.shape.0.as_slice()).ok()?;
         let [channels, height, width] =
             [channels, height, width].map(|d| u32::try_from(d).unwrap_or(u32::MAX));
         let quads = channels.div_ceil(4);
-        let pitch = width.checked_next_multiple_of(PITCH / precision.texel_bytes())?;
-        let most = u64::from(caps.texture_side);
-        let stacked = |columns: u32| {
-            u64::from(quads.div_ceil(columns)) * u64::from(height) * u64::from(batch)
+        let rows = u64::from(quads) * u64::from(height);
+        let (pitch, columns) = match caps.input_layout() {
+            Layout::Texture => {
+                let pitch = width.checked_next_multiple_of(PITCH / precision.texel_bytes())?;
+                let most = u64::from(caps.texture_side);
+                let stacked = |columns: u32| {
+                    u64::from(quads.div_ceil(columns)) * u64::from(height) * u64::from(batch)
+                };
+                let columns = (1..=quads).find(|columns| stacked(*columns) <= most)?;
+                if u64::from(columns) * u64::from(pitch) > most {
+                    return None;
+                }
+                (pitch, columns)
+            }
+            Layout::Quads | Layout::Planar => (width, 1),
         };
-        let columns = (1..=quads).find(|columns| stacked(*columns) <= most)?;
-        let fits = u64::from(columns) * u64::from(pitch) <= most
-            && u64::from(quads) * u64::from(height) <= u64::from(MAX_WORKGROUPS)
-            && width > 0;
+        let fits = rows <= u64::from(MAX_WORKGROUPS) && rows > 0 && width > 0;
         let rows = quads.div_ceil(columns) * height;
         let found = Self { width, height, quads, pitch, columns, rows, zero: 0, channels };
         (fits && found.most_bytes(batch) <= caps.buffer_bytes).then_some(found)
@@ -102,10 +111,30 @@ impl Quads {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::engine::kernels::Kind;
     use crate::engine::shader::{ParamLayout, Shader, Variant, reflect};
 
+    /// Of an adapter that reads textures.
     fn caps(texture_side: u32) -> Caps {
-        Caps { texture_side, ..Caps::default() }
+        Caps { texture_side, kind: Kind::Software, ..Caps::default() }
+    }
+
+    /// Nothing but the texels that there are.
+    #[test]
+    fn maps_that_stay_in_buffers_have_no_padding() {
+        for precision in [Precision::F32, Precision::F16] {
+            let of = |buffer_bytes| {
+                let caps = Caps { texture_side: 64, buffer_bytes, ..Caps::default() };
+                Quads::of(&TensorSpec::f32([10, 5, 100]), precision, 7, &caps)
+            };
+            let map = of(168_000).expect("3 quads of 5 × 100 texels for 7 pictures in f32");
+            assert_eq!((map.quads, map.pitch, map.columns, map.rows), (3, 100, 1, 15));
+            assert_eq!(of(167_999), None, "{precision}");
+        }
+        assert_eq!(
+            Quads::of(&TensorSpec::f32([0, 5, 5]), Precision::F32, 1, &Caps::default()),
+            None
+        );
     }
 
     #[test]
@@ -131,7 +160,7 @@ mod tests {
         let spec = TensorSpec::f32([10, 5, 20]);
         for precision in [Precision::F32, Precision::F16] {
             let of = |buffer_bytes| {
-                let caps = Caps { buffer_bytes, ..Caps::default() };
+                let caps = Caps { buffer_bytes, ..caps(8192) };
                 Quads::of(&spec, precision, 2, &caps)
             };
             assert!(of(15_360).is_some() && of(15_359).is_none(), "{precision}");

@@ -566,7 +566,7 @@ mod tests {
         assert_eq!(of(1, 2, 1, 64), form(Taps::One, 1, 8));
     }
 
-    /// 64 channels of a pixel lie in 16 × 16 texels, 4096 bytes. To as many they are summed in two parts.
+    /// 64 channels of a pixel are 256 bytes. To as many they are summed in two parts.
     #[test]
     fn all_parts_fit_a_buffer() {
         let fits = |split, buffer_bytes| {
@@ -583,8 +583,8 @@ mod tests {
                 caps: &caps,
             })
         };
-        assert!(fits(true, 8192) && !fits(true, 8191));
-        assert!(fits(false, 4096) && !fits(false, 4095));
+        assert!(fits(true, 512) && !fits(true, 511));
+        assert!(fits(false, 256) && !fits(false, 255));
     }
 
     /// Cut into parts, a sum is no deeper than whole.

@@ -32,8 +32,8 @@ function failed(error) {
   busy();
   const hint = error.kind === "NoWebGpu" || error.kind === "NoAdapter"
     ? " Chrome and Edge have WebGPU on Windows, macOS and Android, Safari from version 26, Firefox on Windows and macOS; on Linux it may have to be switched on."
-    : "";
-  $("error").textContent = `${error.message}.${hint}`;
+    : error.kind === "Sensor" || error.kind === "Scale" ? " Choose another sensor or scale." : "";
+  $("error").textContent = `${error.message.replace(/\.$/, "")}.${hint}`;
   $("error").hidden = false;
 }
 
@@ -41,6 +41,16 @@ function failed(error) {
 
 /** Of the settings as they are; a newer one takes its place. */
 let detector;
+
+/** Whether the visitor chose the scale: else the samples' is known, and no other. */
+let isChosen = false;
+
+function scaleOf(scale) {
+  const { elements } = settings;
+  if (isChosen || elements.scale.value === scale) return;
+  elements.scale.value = scale;
+  load();
+}
 
 function load() {
   const { weights, scale, mm } = Object.fromEntries(new FormData(settings));
@@ -69,11 +79,10 @@ async function look(source) {
     if (source !== shown) {
       shown?.close?.();
       shown = source;
-      found = null;
       canvas.width = source.width;
       canvas.height = source.height;
       canvas.getContext("2d").drawImage(source, 0, 0);
-      marks.replaceChildren();
+      forget();
     }
     const looking = await asked;
     if (!stream) busy("Looking…");
@@ -83,13 +92,17 @@ async function look(source) {
     busy();
     show(looking.classes);
   } catch (error) {
-    if (error.kind !== "Closed" && source === shown) failed(error);
+    if (error.kind === "Closed" || source !== shown) return;
+    forget();
+    stopCamera();
+    failed(error);
   }
 }
 
-async function open(from) {
+async function open(from, scale = "") {
   stopCamera();
   press(null);
+  scaleOf(scale);
   try {
     const blob = typeof from === "string" ? await download(from) : from;
     await look(await createImageBitmap(blob, { colorSpaceConversion: "none", premultiplyAlpha: "none" }));
@@ -113,6 +126,7 @@ async function openCamera() {
     video.srcObject = own;
     await video.play();
     press(null);
+    scaleOf("");
     $("camera").textContent = "Close the camera";
     while (stream === own) {
       await look(await createImageBitmap(video));
@@ -135,6 +149,17 @@ function stopCamera() {
 
 const colour = (snap) => COLOURS[snap.class_index % COLOURS.length];
 const fixed = (number, digits) => number.toFixed(digits).replace("-", "−");
+
+/** Nothing is known of a picture that nobody looked at. */
+function forget() {
+  found = null;
+  marks.replaceChildren();
+  if (stream) return;
+  $("summary").textContent = "Nothing yet.";
+  for (const id of ["snaps", "assumption"]) $(id).hidden = true;
+  $("total").textContent = "";
+  $("stages").replaceChildren();
+}
 
 function show(classes) {
   const counts = classes.map((name) => [found.detections.filter((snap) => snap.class === name).length, name]);
@@ -257,6 +282,8 @@ class Operation {
   #worst = 0;
   #runs = 0;
   #failures = 0;
+  /** The last one's name, which stands once for all its kernels. */
+  #case;
 
   constructor(name) {
     this.runs = element("span", { className: "soft" });
@@ -268,7 +295,7 @@ class Operation {
     head.lastChild.className = "number";
     $("operations").append(element("details", {},
       element("summary", {}, element("span", {}, name), this.runs, this.meter, this.share, this.verdict),
-      element("table", {}, element("thead", {}, head), this.rows)));
+      element("div", {}, element("table", {}, element("thead", {}, head), this.rows))));
   }
 
   /** Adds what a kernel made of a case; returns whether it is right. */
@@ -278,8 +305,10 @@ class Operation {
     this.#failures += isRight ? 0 : 1;
     this.#worst = Math.max(this.#worst, share ?? Infinity);
     const remarks = [...failures, ...overflows].map((text) => element("small", { className: isRight ? "" : "failed" }, text));
-    this.rows.append(element("tr", {},
-      element("td", {}, name, ...remarks),
+    const isFirst = name !== this.#case;
+    this.#case = name;
+    this.rows.append(element("tr", { className: isFirst ? "first" : "" },
+      element("td", {}, isFirst ? name : "", ...remarks),
       element("td", {}, kernel.split("/").pop()),
       element("td", {}, precision),
       element("td", { className: isRight ? "number" : "number failed" }, share == null ? "∞" : share.toFixed(3))));
@@ -304,7 +333,7 @@ for (const name of SAMPLES) {
   const button = element("button", { type: "button", name },
     element("img", { src: `samples/${name}.png`, alt: "", loading: "lazy" }), name.replace("_", " "));
   button.onclick = () => {
-    const opened = open(`samples/${name}.png`);
+    const opened = open(`samples/${name}.png`, "paper");
     press(name);
     return opened;
   };
@@ -319,7 +348,8 @@ $("file").onchange = ({ target }) => {
 $("camera").onclick = () => (stream ? stopCamera() : openCamera());
 $("check").onclick = checkKernels;
 settings.onsubmit = (event) => event.preventDefault();
-settings.onchange = () => {
+settings.onchange = ({ target }) => {
+  isChosen ||= target.name !== "weights";
   $("millimetres").hidden = settings.elements.scale.value !== "stated";
   load();
   if (shown && !stream) look(shown);

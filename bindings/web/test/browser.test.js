@@ -345,14 +345,24 @@ test("the page takes files and the camera", async (t) => {
   await page.setInputFiles("#file", { name: "broken.png", mimeType: "image/png", buffer: Buffer.from("no picture") });
   await page.waitForSelector("#error:not([hidden])");
   assert.match(await page.textContent("#error"), /^broken.png: expected a picture/);
+  // Of a picture of one's own nobody knows the scale; 40 mm are right for this one.
   await page.setInputFiles("#file", join(ROOT, "samples/stud.png"));
   await page.waitForFunction(() => document.querySelector("#summary").textContent.startsWith("1 × B"));
+  assert.equal(await page.inputValue("[name=scale]"), "");
+  assert.ok(await page.isVisible("#assumption"));
   assert.ok(await page.isHidden("#error"));
 
+  // A stated scale stays: the paper's sensor gives no frames of the camera's shape.
+  await page.selectOption("[name=scale]", "paper");
   await page.click("#camera");
-  await page.waitForFunction(() => document.querySelector("#picture").width !== 1000);
-  // Chromium's own picture of a camera: no snap.
-  await page.waitForFunction(() => document.querySelector("#summary").textContent.startsWith("No snap"));
+  await page.waitForSelector("#error:not([hidden])");
+  assert.match(await page.textContent("#error"), /^sensor `paper`: expected frames .* got \d+ × \d+. Choose another/);
+  assert.equal(await page.textContent("#camera"), "Open the camera");
+  await page.selectOption("[name=scale]", "");
+  await page.click("#camera");
+  await page.waitForFunction(() => document.querySelector("#summary").textContent.endsWith("assumed"));
+  assert.match(await page.textContent("#camera"), /^Close/);
+  assert.ok(await page.isHidden("#error"));
   await page.click("#camera");
   assert.equal(await page.textContent("#camera"), "Open the camera");
 });

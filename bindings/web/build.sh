@@ -22,6 +22,7 @@ module=package/wasm/smr_gpu_web_bg.wasm
 npx wasm-opt -Os --strip-debug --strip-producers "$module" -o "$module"
 printf '%s: %d bytes, %d with gzip\n' "$module" "$(wc -c <"$module")" "$(gzip -9 <"$module" | wc -c)"
 
+cp ../../LICENSE-* package
 mkdir -p target/site/{samples,weights}
 cp page/* target/site
 cp -r package target/site/smr-gpu

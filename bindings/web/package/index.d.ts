@@ -133,8 +133,8 @@ export class Detector {
   /** Opens the GPU, compiles the shaders and uploads the weights. */
   static load(options: Options): Promise<Detector>;
   /**
-   * Finds the snaps in a picture, or in the frame that a video shows. An ImageBitmap stays the caller's. The
-   * numbers are those of the file: no colour space is applied but where the caller's own picture has one.
+   * Finds the snaps in a picture, or in the frame that a video shows. An ImageBitmap stays the caller's. A file's
+   * numbers are taken as they are, without its colour profile; what is transparent counts as black.
    */
   detect(source: ImageBitmapSource): Promise<Detections>;
   /** Names of the classes. */

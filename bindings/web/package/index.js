@@ -53,7 +53,13 @@ class Remote {
     if (this.#ended) return Promise.reject(this.#ended);
     return new Promise((resolve, reject) => {
       const id = this.#next++;
-      this.#worker.postMessage({ id, method, args }, transfer);
+      try {
+        this.#worker.postMessage({ id, method, args }, transfer);
+      } catch (cause) {
+        // A picture of another site, or bytes that were given away.
+        const message = `${method}: expected what this page may read, got ${cause.message}`;
+        throw new SmrGpuError(method === "detect" ? "Picture" : "Param", message, { cause });
+      }
       this.#calls.set(id, { resolve, reject, onProgress });
     });
   }
@@ -63,9 +69,9 @@ class Remote {
   }
 }
 
-/** The pixels of whatever shows a picture, for the worker: an ImageData as it is, all else as an ImageBitmap. */
+/** What shows a picture, for the worker: an ImageData of bytes as it is, all else as an ImageBitmap. */
 async function picture(source) {
-  if (source instanceof ImageData) return source;
+  if (source instanceof ImageData && source.data instanceof Uint8ClampedArray) return source;
   try {
     // The numbers of the file, as other programs read them.
     return await createImageBitmap(source, { colorSpaceConversion: "none", premultiplyAlpha: "none" });

@@ -42,10 +42,15 @@ async function download(url, tell) {
 function pixels(picture) {
   if (picture instanceof ImageData) return [picture.width, picture.height, picture.data];
   const { width, height } = picture;
-  const context = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
-  context.drawImage(picture, 0, 0);
-  picture.close();
-  return [width, height, context.getImageData(0, 0, width, height).data];
+  try {
+    const context = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
+    context.drawImage(picture, 0, 0);
+    return [width, height, context.getImageData(0, 0, width, height).data];
+  } catch (error) {
+    throw failure("Picture", `picture: expected one that fits in memory, got ${width} × ${height} pixels: ${error.message}`);
+  } finally {
+    picture.close();
+  }
 }
 
 /** The name of the adapter that the module opens. */

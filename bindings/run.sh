@@ -16,7 +16,7 @@ wheel() {
     "$venv/bin/pip" install --quiet --requirement "$folder/requirements.txt"
     # The wheel's tag says which Linux it runs on; maturin checks it against what the library needs.
     rm -rf "$folder/target/wheels"
-    (cd "$folder" && .venv/bin/maturin build --release --locked --interpreter .venv/bin/python)
+    (cd "$folder" && .venv/bin/maturin build --release --locked --interpreter .venv/bin/python --out target/wheels)
     ls -l "$folder"/target/wheels
 }
 

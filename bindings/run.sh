@@ -53,8 +53,8 @@ ros2() {
 }
 
 c() {
-    # Tests link to what is built here.
-    (cd bindings/c && cargo build --locked && cargo test --locked)
+    # Tests link to the library; built with them it shares their dependencies.
+    (cd bindings/c && cargo build --locked --lib --tests && cargo test --locked)
 }
 
 case "${1:-}" in

@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Packs for aarch64 on another Debian machine without rustup, and tries the program there under qemu:
 # packaging/aarch64.sh FOLDER. FOLDER keeps what that needs beside this machine's own: rustc and aarch64's std of Debian
-# unstable, aarch64's glibc and lavapipe of this Debian release (3 GB). Needs root, and the packages named below.
+# unstable, aarch64's glibc and lavapipe of this Debian release (3 GB). Needs root, Python 3, this machine's own program,
+# $SMR_GPU_PROGRAM or target/release/smr-gpu, and the packages named below.
 set -euo pipefail
 [ $# = 1 ] || { echo "expected a folder, got $# arguments"; exit 2; }
 cd "$(dirname "$0")/.."
@@ -34,4 +35,20 @@ smr_gpu() {
     qemu-aarch64 -L "$system" target/packages/smr-gpu-*-$target/bin/smr-gpu "$@"
 }
 smr_gpu --version
-smr_gpu devices
+for operation in softmax nms top_k decode_detections; do
+    smr_gpu check "$operation" --device gpu
+done
+# The same snaps as this machine's own program finds; rounding differs with the width of vectors.
+native=${SMR_GPU_PROGRAM:-target/release/smr-gpu}
+for device in cpu gpu; do
+    detect=(detect --json --quiet --weights small --mm-per-pixel 0.04 --device "$device" samples/mixed.png)
+    { "$native" "${detect[@]}"; smr_gpu "${detect[@]}"; } | python3 -c '
+import json, sys
+native, foreign = ([(d["class"], d["score"], *d["box"]) for d in json.loads(line)["detections"]] for line in sys.stdin)
+assert native and [d[0] for d in native] == [d[0] for d in foreign], (native, foreign)
+apart = [max(abs(a - b) for one, other in zip(native, foreign) for a, b in zip(one[part], other[part]))
+         for part in (slice(1, 2), slice(2, 6))]
+print(f"{sys.argv[1]}: {len(native)} snaps, scores {apart[0]:.1e} and corners {apart[1]:.1e} pixels apart")
+assert apart[0] < 1e-3 and apart[1] < 0.05
+' "$device"
+done

@@ -58,26 +58,38 @@ cp -r "$tree" "$deb/usr"
 find "$deb/usr/share/man" -type f -exec gzip -9n {} +
 doc=$deb/usr/share/doc/smr-gpu
 {
-    echo "smr-gpu is licensed under MIT or Apache-2.0, as you choose; the font DejaVu Sans in it under the last text."
-    cat LICENSE-MIT LICENSE-APACHE assets/font/LICENSE
+    echo "smr-gpu is licensed under Apache-2.0, which is /usr/share/common-licenses/Apache-2.0, or under MIT,"
+    echo "as you choose; the font DejaVu Sans in it under the last text."
+    cat LICENSE-MIT assets/font/LICENSE
 } >"$doc/copyright"
 rm "$doc"/LICENSE-*
-gzip -9n <CHANGELOG.md >"$doc/changelog.gz"
+cp CHANGELOG.md "$doc"
+maintainer="The developers of smr-gpu <smr-gpu@example.org>"
+gzip -9n >"$doc/changelog.gz" <<CHANGELOG
+smr-gpu ($version) unstable; urgency=medium
+
+  * CHANGELOG.md has the changes.
+
+ -- $maintainer  $(LC_ALL=C date --utc --rfc-email --date "@$SOURCE_DATE_EPOCH")
+CHANGELOG
 glibc=$("$binutils-objdump" -T "$built" | grep -o 'GLIBC_[0-9.]*' | sort -uV | tail -1)
 cat >"$deb/DEBIAN/control" <<CONTROL
 Package: smr-gpu
 Version: $version
 Architecture: $architecture
-Maintainer: The developers of smr-gpu <smr-gpu@example.org>
+Maintainer: $maintainer
 Installed-Size: $(du -sk "$deb/usr" | cut -f1)
 Depends: libc6 (>= ${glibc#GLIBC_}), libgcc-s1
 Recommends: libvulkan1, mesa-vulkan-drivers | vulkan-icd
 Suggests: ffmpeg
 Section: science
 Priority: optional
-Description: $(sed -n 's/^description = "\(.*\)"/\1/p' Cargo.toml)
+Description: finds snap joints in pictures of a tactile sensor
+ Class, box, position in millimetres and direction of snap joints, found in
+ pictures of a GelSight-like sensor on any GPU with Vulkan or on the CPU.
 CONTROL
-dpkg-deb --build --root-owner-group "$deb" "$out/smr-gpu_${version}_$architecture.deb"
+# What is large in it does not compress.
+dpkg-deb --build --root-owner-group -Zxz -z1 "$deb" "$out/smr-gpu_${version}_$architecture.deb"
 rm -r "$deb"
 
 ls -l "$out"

@@ -30,9 +30,9 @@ export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER="qemu-aarch64 -L $system"
 # The host's own programs, such as build scripts, are built by the same rustc.
 packaging/package.sh "$target"
 
-export VK_ICD_FILENAMES=$system/usr/share/vulkan/icd.d/lvp_icd.aarch64.json
 smr_gpu() {
-    qemu-aarch64 -L "$system" target/packages/smr-gpu-*-$target/bin/smr-gpu "$@"
+    VK_ICD_FILENAMES=$system/usr/share/vulkan/icd.d/lvp_icd.aarch64.json \
+        qemu-aarch64 -L "$system" target/packages/smr-gpu-*-$target/bin/smr-gpu "$@"
 }
 smr_gpu --version
 for operation in softmax nms top_k decode_detections; do

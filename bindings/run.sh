@@ -19,7 +19,7 @@ wheel() {
     "$venv/bin/pip" install --quiet --requirement "$folder/requirements.txt"
     # The wheel's tag says which Linux it runs on; maturin checks it against what the library needs.
     rm -rf "$folder/target/wheels"
-    (cd "$folder" && .venv/bin/maturin build --release --locked --interpreter .venv/bin/python)
+    (cd "$folder" && .venv/bin/maturin build --release --locked --interpreter .venv/bin/python --out target/wheels)
     ls -l "$folder"/target/wheels
 }
 
@@ -56,8 +56,8 @@ ros2() {
 }
 
 c() {
-    # Tests link to what is built here.
-    (cd bindings/c && cargo build --locked && cargo test --locked)
+    # Tests link to the library; built with them it shares their dependencies.
+    (cd bindings/c && cargo build --locked --lib --tests && cargo test --locked)
 }
 
 web() {

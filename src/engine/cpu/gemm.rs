@@ -1,5 +1,7 @@
 //! Matrix products, and vector code for the widest registers that the CPU has.
 
+use super::avx512;
+use super::scratch::Scratch;
 use crate::engine::cores::each;
 use crate::engine::ops::bounds::{Joined, SumOrder};
 pub(super) use crate::engine::reference::vectorised;
@@ -11,6 +13,12 @@ const PART: usize = 512;
 pub(super) fn order(k: usize) -> SumOrder {
     let (terms, parts) = (k.min(PART), k.div_ceil(PART));
     SumOrder { terms, parts, joined: Joined::InOrder, more: 0 }
+}
+
+/// The order of the sums of `k` products of [`pairs`], of which a part has as many words.
+pub(super) fn order_of_pairs(k: usize) -> SumOrder {
+    let words = order(k / 2);
+    SumOrder { terms: 2 * words.terms, ..words }
 }
 
 /// Outputs of a panel.
@@ -25,13 +33,25 @@ const PANEL: usize = 64;
 pub(super) struct Panels<'a> {
     weights: &'a [f32],
     outputs: usize,
+    /// Inputs, or pairs of them.
     inner: usize,
+    pairs: bool,
 }
 
 impl<'a> Panels<'a> {
     /// What [`Panels::fill`] packed.
     pub fn of(weights: &'a [f32], outputs: usize, inner: usize) -> Self {
-        Self { weights: &weights[..outputs * inner], outputs, inner }
+        Self { weights: &weights[..outputs * inner], outputs, inner, pairs: false }
+    }
+
+    /// Of what [`Panels::fill_pairs`] packed, for rows of `inner` [`pairs`].
+    pub fn of_pairs(weights: &'a [f32], outputs: usize, inner: usize) -> Self {
+        Self { pairs: true, ..Self::of(weights, outputs, inner) }
+    }
+
+    /// Packs `weight(o, k)` for twice `inner` inputs, in bf16.
+    pub fn fill_pairs(packed: &mut [f32], inner: usize, weight: impl Fn(usize, usize) -> f32) {
+        Self::fill(packed, inner, |o, k| pair(weight(o, 2 * k), weight(o, 2 * k + 1)));
     }
 
     /// Packs `weight(o, k)` for K = `inner` inputs.
@@ -55,7 +75,7 @@ impl<'a> Panels<'a> {
 
     /// `dst[j · O + i] = Σ weight(i, k) · rows[j · K + k]` for N rows, on the calling thread.
     pub fn multiply(self, dst: &mut [f32], rows: &[f32], n: usize) {
-        let Self { weights, outputs: o, inner: k } = self;
+        let Self { weights, outputs: o, inner: k, pairs } = self;
         assert!(dst.len() >= n * o && rows.len() >= n * k);
         if n == 0 || k == 0 {
             dst[..n * o].fill(0.0);
@@ -66,6 +86,12 @@ impl<'a> Panels<'a> {
             for first in (0..k).step_by(PART) {
                 let (weights, rows) = (&weights[first * width..], &rows[first..]);
                 let dst = &mut dst[panel * PANEL..];
+                let length = PART.min(k - first);
+                if pairs {
+                    let panel = avx512::Panel { weights, width, rows, pitch: k, count: n, length };
+                    avx512::multiply(&panel, dst, o, first > 0);
+                    continue;
+                }
                 // SAFETY: the product reads weights[k' · width + i] and rows[j · K + k'] and writes
                 // dst[j · O + i] for i < width, j < N, first + k' < K. Those are a panel's weights, and,
                 // as panel · PANEL + width is at most O, parts of the slices that the assertion measures;
@@ -74,7 +100,7 @@ impl<'a> Panels<'a> {
                     gemm::gemm(
                         width,
                         n,
-                        PART.min(k - first),
+                        length,
                         dst.as_mut_ptr(),
                         o as isize,
                         1,
@@ -106,15 +132,87 @@ impl<'a> Panels<'a> {
         each(parts.iter_mut(), |(first, sums)| {
             let count = PANEL.min(self.outputs - *first);
             let weights = &self.weights[*first * self.inner..];
-            Panels::of(weights, count, self.inner).multiply(sums, rows, n);
+            let panel = Self { pairs: self.pairs, ..Self::of(weights, count, self.inner) };
+            panel.multiply(sums, rows, n);
         });
         parts
     }
 }
 
+/// Two numbers in bf16, to the nearest, ties to even, as a word: the first in its low half.
+#[inline(always)]
+fn pair(low: f32, high: f32) -> f32 {
+    let rounded = |x: f32| {
+        let bits = x.to_bits();
+        let number = bits.wrapping_add(0x7fff + (bits >> 16 & 1)) >> 16;
+        if x.is_nan() { bits >> 16 | 0x40 } else { number }
+    };
+    f32::from_bits(rounded(low) | rounded(high) << 16)
+}
+
+/// Pairs of numbers in bf16 as words, made on all threads.
+pub(super) fn pairs(numbers: &[f32]) -> Scratch {
+    const PART: usize = 16 * 1024;
+    let mut words = Scratch::new(numbers.len() / 2);
+    each(words.chunks_mut(PART).zip(numbers.chunks(2 * PART)), |(words, numbers)| {
+        vectorised(
+            #[inline(always)]
+            || {
+                for (word, [low, high]) in words.iter_mut().zip(numbers.as_chunks::<2>().0) {
+                    *word = pair(*low, *high);
+                }
+            },
+        );
+    });
+    words
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Words of two numbers, each rounded as the crate `half` does.
+    #[test]
+    fn pairs_are_rounded_to_the_nearest() {
+        let ties = [1.0 + 1.0 / 256.0, 1.0 + 3.0 / 256.0, -1.0 - 1.0 / 256.0 - 1e-6, f32::MAX];
+        let odd = [f32::NAN, f32::from_bits(0x7f80_0001), f32::NEG_INFINITY, -0.0, 1e-40, 3.0];
+        let some = (0..4000u32).map(|i| f32::from_bits(i.wrapping_mul(0x9e37_79b9)));
+        let numbers: Vec<f32> = some.chain(ties).chain(odd).collect();
+        let want = |x: f32| u32::from(half::bf16::from_f32(x).to_bits());
+        for (word, [low, high]) in pairs(&numbers).iter().zip(numbers.as_chunks::<2>().0) {
+            assert_eq!(word.to_bits(), want(*low) | want(*high) << 16, "{low:e} {high:e}");
+        }
+        // Of two as near the even one: 1, and 1 + 4/256.
+        assert_eq!(pairs(&ties[..2])[0].to_bits(), 0x3f82_3f80);
+    }
+
+    /// All numbers of rows and of outputs that a tile may have, and sums of several parts, of whole numbers, so that
+    /// each order of adding is exact.
+    #[test]
+    fn products_of_all_sizes() {
+        for n in 1..=26 {
+            for (o, k) in [1, 15, 17, 33, 48, 64, 70].map(|o| (o, 2 + 2 * ((37 * n * o) % 700))) {
+                let weight = |o: usize, k: usize| ((o * 7 + k * 13) % 11) as f32 - 5.0;
+                let mut packed = vec![f32::NAN; o * k];
+                Panels::fill(&mut packed, k, weight);
+                let mut in_pairs = vec![f32::NAN; o * k / 2];
+                Panels::fill_pairs(&mut in_pairs, k / 2, weight);
+                let rows: Vec<f32> = (0..n * k).map(|i| (i % 9) as f32 - 4.0).collect();
+                let mut sums = vec![vec![f32::NAN; n * o]];
+                Panels::of(&packed, o, k).multiply(&mut sums[0], &rows, n);
+                if avx512::multiplies_bf16() {
+                    sums.push(vec![f32::NAN; n * o]);
+                    Panels::of_pairs(&in_pairs, o, k / 2).multiply(&mut sums[1], &pairs(&rows), n);
+                }
+                for i in 0..n * o {
+                    let want: f32 = (0..k).map(|k2| weight(i % o, k2) * rows[i / o * k + k2]).sum();
+                    for sums in &sums {
+                        assert_eq!(sums[i], want, "{n} rows, {o} outputs of {k}: {i}");
+                    }
+                }
+            }
+        }
+    }
 
     /// 66 outputs of three inputs, output o of input k being 10 o + k: 64 in a panel, and two.
     #[test]

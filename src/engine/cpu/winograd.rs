@@ -11,6 +11,7 @@ use std::sync::Arc;
 use super::epilogue::{Epilogue, MapShape};
 use super::gemm::{Panels, order, vectorised};
 use super::packs::Pack;
+use super::scratch::Scratch;
 use crate::engine::cores::{each, each_with, threads};
 use crate::engine::ops::Conv2d;
 use crate::engine::ops::winograd::{IN, OUT, POINTS, error_bound, point_weight};
@@ -97,17 +98,20 @@ impl Winograd {
             // Whole rows of tiles, so that each block's outputs are a slice.
             let rows = (BLOCK / tile_columns).max(1);
             let block = rows * tile_columns;
-            let scratch = || (vec![0.0; POINTS * block * in_c], vec![0.0; POINTS * block * out_c]);
+            let scratch = || [in_c, out_c].map(|channels| Scratch::new(POINTS * block * channels));
             each_with(
                 output.chunks_mut(rows * OUT * out_w * out_c).enumerate(),
                 scratch,
-                |(points, sums), (index, output)| {
+                |[points, sums], (index, output)| {
                     let first = index * block;
                     let count = block.min(tiles - first);
                     let points = &mut points[..POINTS * count * in_c];
                     let sums = &mut sums[..POINTS * count * out_c];
                     for (t, tile) in (first..first + count).enumerate() {
-                        vectorised(|| self.transform_input(input, tile, t, count, points));
+                        vectorised(
+                            #[inline(always)]
+                            || self.transform_input(input, tile, t, count, points),
+                        );
                     }
                     for (point, (sums, points)) in sums
                         .chunks_exact_mut(count * out_c)
@@ -118,22 +122,28 @@ impl Winograd {
                     }
                     let above = index * rows * OUT * out_w * out_c;
                     let residual = residual.map(|r| &r[above..above + output.len()]);
-                    vectorised(|| {
-                        self.transform_outputs(sums, count, residual, epilogue, output);
-                    });
+                    vectorised(
+                        #[inline(always)]
+                        || {
+                            self.transform_outputs(sums, count, residual, epilogue, output);
+                        },
+                    );
                 },
             );
             return;
         }
         // [tiles][36, I], so that threads write slices of their own.
-        let mut by_tile = vec![0.0; tiles * POINTS * in_c];
+        let mut by_tile = Scratch::new(tiles * POINTS * in_c);
         each(by_tile.chunks_mut(POINTS * in_c).enumerate(), |(tile, points)| {
-            vectorised(|| self.transform_input(input, tile, 0, 1, points));
+            vectorised(
+                #[inline(always)]
+                || self.transform_input(input, tile, 0, 1, points),
+            );
         });
-        let mut sums = vec![0.0; POINTS * tiles * out_c];
+        let mut sums = Scratch::new(POINTS * tiles * out_c);
         each_with(
             sums.chunks_mut(tiles * out_c).enumerate(),
-            || vec![0.0; tiles * in_c],
+            || Scratch::new(tiles * in_c),
             |points, (point, sums)| {
                 let from = by_tile.chunks_exact(POINTS * in_c);
                 for (to, from) in points.chunks_exact_mut(in_c).zip(from) {
@@ -145,10 +155,13 @@ impl Winograd {
         each(output.chunks_mut(OUT * out_w * out_c).enumerate(), |(row, output)| {
             let above = row * OUT * out_w * out_c;
             let residual = residual.map(|r| &r[above..above + output.len()]);
-            vectorised(|| {
-                let first = row * tile_columns;
-                self.transform_row(&sums, first, tiles, residual, epilogue, output);
-            });
+            vectorised(
+                #[inline(always)]
+                || {
+                    let first = row * tile_columns;
+                    self.transform_row(&sums, first, tiles, residual, epilogue, output);
+                },
+            );
         });
     }
 

@@ -22,7 +22,7 @@ pub(super) fn uneven(texels: u32) -> u32 {
 /// The format of a texture of four channels.
 pub(super) fn texture_format(precision: Precision) -> wgpu::TextureFormat {
     match precision {
-        Precision::F32 => wgpu::TextureFormat::Rgba32Float,
+        Precision::F32 | Precision::Bf16 => wgpu::TextureFormat::Rgba32Float,
         Precision::F16 => wgpu::TextureFormat::Rgba16Float,
     }
 }

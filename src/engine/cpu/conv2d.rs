@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use super::epilogue::{Epilogue, MapShape};
-use super::gemm::{Panels, order, order_of_pairs, pairs, vectorised};
+use super::gemm::{Panels, Part, order, order_of_pairs, pairs, vectorised};
 use super::kernel::{Data, Kernel};
 use super::packs::Pack;
 use super::scratch::Scratch;
@@ -130,9 +130,10 @@ impl Convolution {
         vectorised(
             #[inline(always)]
             || {
-                for (first, sums) in &parts {
-                    let count = sums.len() / pixels;
-                    self.epilogue_of(output, sums, *first, count, residual(0, pixels));
+                for Part { first, outputs, rows, sums } in &parts {
+                    let output = &mut output[rows.start * out_c..rows.end * out_c];
+                    let residual = residual(rows.start, rows.len());
+                    self.epilogue_of(output, sums, *first, *outputs, residual);
                 }
             },
         );

@@ -1,8 +1,10 @@
 //! Matrix products, and vector code for the widest registers that the CPU has.
 
+use std::ops::Range;
+
 use super::avx512;
 use super::scratch::Scratch;
-use crate::engine::cores::each;
+use crate::engine::cores::{each, threads};
 use crate::engine::ops::bounds::{Joined, SumOrder};
 pub(super) use crate::engine::reference::vectorised;
 
@@ -23,6 +25,8 @@ pub(super) fn order_of_pairs(k: usize) -> SumOrder {
 
 /// Outputs of a panel.
 const PANEL: usize = 64;
+/// Fewest rows of a part where rows are shared: fewer take longer to fetch their weights than to multiply.
+const LEAST_ROWS: usize = 16;
 
 /// Weights of O outputs of K inputs, `[⌈O / PANEL⌉][K][PANEL]`, the last panel narrower.
 ///
@@ -123,20 +127,40 @@ impl<'a> Panels<'a> {
         }
     }
 
-    /// The same on all threads, a panel at a time, so that each weight is read once: the first output
-    /// of each panel, and its sums `[N][outputs of the panel]`.
-    pub fn shared(self, rows: &[f32], n: usize) -> Vec<(usize, Vec<f32>)> {
-        let sums = |first: usize| vec![0.0; n * PANEL.min(self.outputs - first)];
-        let firsts = (0..self.outputs).step_by(PANEL);
-        let mut parts: Vec<_> = firsts.map(|first| (first, sums(first))).collect();
-        each(parts.iter_mut(), |(first, sums)| {
-            let count = PANEL.min(self.outputs - *first);
-            let weights = &self.weights[*first * self.inner..];
-            let panel = Self { pairs: self.pairs, ..Self::of(weights, count, self.inner) };
-            panel.multiply(sums, rows, n);
+    /// The same on all threads, in parts: a panel and all rows, so that each weight is read once, or where
+    /// panels are too few for threads to end together, some of the rows.
+    pub fn shared(self, rows: &[f32], n: usize) -> Vec<Part> {
+        let panels = self.outputs.div_ceil(PANEL).max(1);
+        let cuts = (4 * threads()).div_ceil(panels).min(n / LEAST_ROWS).max(1);
+        let each_has = n.div_ceil(cuts).max(1);
+        let mut parts: Vec<Part> = (0..self.outputs)
+            .step_by(PANEL)
+            .flat_map(|first| (0..n).step_by(each_has).map(move |row| (first, row)))
+            .map(|(first, row)| {
+                let (rows, outputs) = (row..n.min(row + each_has), PANEL.min(self.outputs - first));
+                let sums = vec![0.0; rows.len() * outputs];
+                Part { first, outputs, rows, sums }
+            })
+            .collect();
+        each(parts.iter_mut(), |part| {
+            let weights = &self.weights[part.first * self.inner..];
+            let panel = Self::of(weights, part.outputs, self.inner);
+            let rows = &rows[part.rows.start * self.inner..];
+            Self { pairs: self.pairs, ..panel }.multiply(&mut part.sums, rows, part.rows.len());
         });
         parts
     }
+}
+
+/// A part of a product.
+#[derive(Debug)]
+pub(super) struct Part {
+    /// The first output.
+    pub first: usize,
+    pub outputs: usize,
+    pub rows: Range<usize>,
+    /// `[rows][outputs]`.
+    pub sums: Vec<f32>,
 }
 
 /// Two numbers in bf16, to the nearest, ties to even, as a word: the first in its low half.
@@ -231,9 +255,30 @@ mod tests {
         let mut sums = vec![f32::NAN; 2 * 66];
         panels.multiply(&mut sums, &rows, 2);
         assert!((0..2 * 66).all(|i| sums[i] == want(i / 66, i % 66)), "{sums:?}");
-        for (first, sums) in panels.shared(&rows, 2) {
-            let count = sums.len() / 2;
-            assert!((0..2 * count).all(|i| sums[i] == want(i / count, first + i % count)));
+        for Part { first, outputs, rows, sums } in panels.shared(&rows, 2) {
+            assert_eq!(rows, 0..2);
+            assert!((0..2 * outputs).all(|i| sums[i] == want(i / outputs, first + i % outputs)));
+        }
+    }
+
+    /// Whatever the number of threads, each sum is in one part.
+    #[test]
+    fn parts_cover_each_sum_once() {
+        for (n, o) in [(0, 5), (1, 3), (23, 70), (100, 192), (400, 96), (100, 512)] {
+            let mut packed = vec![0.0; o * 3];
+            Panels::fill(&mut packed, 3, |o, k| (10 * o + k) as f32);
+            let rows: Vec<f32> = (0..n * 3).map(|i| (i % 7) as f32).collect();
+            let panels = Panels::of(&packed, o, 3);
+            let mut all = vec![f32::NAN; n * o];
+            panels.multiply(&mut all, &rows, n);
+            let mut seen = 0;
+            for Part { first, outputs, rows, sums } in panels.shared(&rows, n) {
+                seen += sums.len();
+                for (row, sums) in rows.zip(sums.chunks_exact(outputs)) {
+                    assert_eq!(sums, &all[row * o + first..][..outputs], "{n} × {o}");
+                }
+            }
+            assert_eq!(seen, n * o);
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::gemm::{Panels, order, order_of_pairs, pairs};
+use super::gemm::{Panels, Part, order, order_of_pairs, pairs};
 use super::kernel::{Data, Kernel, Layout, map_sizes};
 use super::packs::Pack;
 use crate::engine::ops::Linear;
@@ -102,10 +102,9 @@ impl Kernel for FullyConnected {
                 panels.shared(&pairs(input), rows)
             }
         };
-        for (first, sums) in parts {
-            let count = sums.len() / rows.max(1);
+        for Part { first, outputs: count, rows, sums } in parts {
             let bias = &self.bias[first..][..count];
-            for (row, sums) in sums.chunks_exact(count.max(1)).enumerate() {
+            for (row, sums) in rows.zip(sums.chunks_exact(count)) {
                 let to = &mut outputs[0][row * outputs_a_row + first..][..count];
                 for ((to, sum), bias) in to.iter_mut().zip(sums).zip(bias) {
                     let value = sum + bias;

@@ -83,7 +83,10 @@ fn wrong_command_lines_are_usage_errors() {
         (&["detect", "x.png", "--max-det", "0"], "1..=100"),
         (&["detect", "x.png", "--max-det", "101"], "1..=100"),
         (&["detect", "x.png", "--class", "C"], "smr-gpu: --class: expected A, B, got `C`"),
-        (&["detect", "x.png", "--precision", "f64"], ": expected `f32`, `f16` or `bf16`, got `f64`"),
+        (
+            &["detect", "x.png", "--precision", "f64"],
+            ": expected `f32`, `f16` or `bf16`, got `f64`",
+        ),
         (&["check", "conv2d", "--case", "nope"], "smr-gpu: --case: expected one of `"),
         (&["calibrate", "--presses", ".", "--radius", "nan"], "expected a number from 0.2 to 20"),
         (&["calibrate", "--presses", ".", "--radius", "0"], "expected a number from 0.2 to 20"),

@@ -119,11 +119,11 @@ mod x86 {
                 // SAFETY: `k` is below `length`, and the last vector is masked to what is left of `width`.
                 *weight = unsafe { _mm512_maskz_loadu_ps(mask, weights.add(w * LANES)) };
             }
-            for r in 0..R {
+            for (totals, input) in totals.iter_mut().zip(inputs) {
                 // SAFETY: as above, of a row below `count`.
-                let x = _mm512_set1_ps(unsafe { *inputs[r].add(k) });
-                for w in 0..W {
-                    totals[r][w] = dot(totals[r][w], weight[w], x);
+                let x = _mm512_set1_ps(unsafe { *input.add(k) });
+                for (total, weight) in totals.iter_mut().zip(weight) {
+                    *total = dot(*total, weight, x);
                 }
             }
             weights = weights.wrapping_add(width);

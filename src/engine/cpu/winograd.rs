@@ -5,7 +5,6 @@
 //! Networks", 2016, §4.3): output = Aᵀ [ (G g Gᵀ) ⊙ (Bᵀ d B) ] A, where the elementwise product
 //! over all channels is 36 matrix products.
 
-use std::array::from_fn;
 use std::sync::Arc;
 
 use super::epilogue::{Epilogue, MapShape};
@@ -185,16 +184,18 @@ impl Winograd {
         let (top, left) = (tile / columns * OUT, tile % columns * OUT);
         for c in (0..in_c).step_by(LANES) {
             // One row and column of zeros on each side; wraps below zero.
-            let load = |y: usize, x: usize| -> Lanes {
-                let (y, x) = ((top + y).wrapping_sub(1), (left + x).wrapping_sub(1));
-                let mut lanes = [0.0; LANES];
-                if y < in_h && x < in_w {
-                    lanes.copy_from_slice(&input[(y * in_w + x) * in_c + c..][..LANES]);
+            let mut columns = [[[0.0; LANES]; IN]; IN];
+            for (x, column) in columns.iter_mut().enumerate() {
+                for (y, lanes) in column.iter_mut().enumerate() {
+                    let (y, x) = ((top + y).wrapping_sub(1), (left + x).wrapping_sub(1));
+                    if y < in_h && x < in_w {
+                        lanes.copy_from_slice(&input[(y * in_w + x) * in_c + c..][..LANES]);
+                    }
                 }
-                lanes
-            };
-            let columns: [[Lanes; IN]; IN] = from_fn(|x| input_transform(&from_fn(|y| load(y, x))));
-            for (y, row) in rows_of(&columns).enumerate() {
+                *column = input_transform(column);
+            }
+            for y in 0..IN {
+                let row = row_of(&columns, y);
                 for (x, value) in input_transform(&row).iter().enumerate() {
                     let at = ((y * IN + x) * count + to) * in_c + c;
                     points[at..at + LANES].copy_from_slice(value);
@@ -237,15 +238,17 @@ impl Winograd {
         let rows = output.len() / (out_w * out_c);
         for column in 0..self.tiles().1 {
             for o in (0..out_c).step_by(LANES) {
-                let load = |y: usize, x: usize| -> Lanes {
-                    let at = ((y * IN + x) * count + first + column) * out_c + o;
-                    let mut lanes = [0.0; LANES];
-                    lanes.copy_from_slice(&sums[at..at + LANES]);
-                    lanes
-                };
-                let columns: [[Lanes; OUT]; IN] =
-                    from_fn(|x| output_transform(&from_fn(|y| load(y, x))));
-                for (y, row) in rows_of(&columns).enumerate().take(rows) {
+                let mut columns = [[[0.0; LANES]; OUT]; IN];
+                for (x, to) in columns.iter_mut().enumerate() {
+                    let mut points = [[0.0; LANES]; IN];
+                    for (y, lanes) in points.iter_mut().enumerate() {
+                        let at = ((y * IN + x) * count + first + column) * out_c + o;
+                        lanes.copy_from_slice(&sums[at..at + LANES]);
+                    }
+                    *to = output_transform(&points);
+                }
+                for y in 0..rows.min(OUT) {
+                    let row = row_of(&columns, y);
                     let values = output_transform(&row);
                     for (x, value) in values.iter().enumerate().take(out_w - column * OUT) {
                         let at = (y * out_w + column * OUT + x) * out_c + o;
@@ -258,12 +261,15 @@ impl Winograd {
     }
 }
 
-/// The rows of a tile that is given by columns.
+/// A row of a tile that is given by columns. (A loop: closures that `from_fn` calls may stay functions of
+/// their own, which have no wide registers.)
 #[inline(always)]
-fn rows_of<const R: usize, const C: usize>(
-    columns: &[[Lanes; R]; C],
-) -> impl Iterator<Item = [Lanes; C]> {
-    (0..R).map(|y| from_fn(|x| columns[x][y]))
+fn row_of<const R: usize, const C: usize>(columns: &[[Lanes; R]; C], y: usize) -> [Lanes; C] {
+    let mut row = [[0.0; LANES]; C];
+    for (lanes, column) in row.iter_mut().zip(columns) {
+        *lanes = column[y];
+    }
+    row
 }
 
 /// Bᵀ d.

@@ -85,7 +85,10 @@ impl Session {
             (Some(_), Precision::Bf16) => {
                 remarks.push(format!("bf16 is for cores: {adapter} computes in f32"));
             }
-            (None, Precision::Bf16) if on_cores(Precision::Bf16) == Precision::F32 => {
+            (None, Precision::Bf16)
+                if config.device == Device::Reference
+                    || on_cores(Precision::Bf16) == Precision::F32 =>
+            {
                 remarks.push(format!(
                     "bf16 is for cores with AVX-512 BF16: {adapter} computes as ever"
                 ));

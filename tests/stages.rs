@@ -382,7 +382,7 @@ fn every_variant_matches_its_reference_and_pytorch() {
         let slot = Slot::of(support::gpu(), graph, &keep, options);
         let mut slot = pollster::block_on(slot).expect("a slot");
         let got = slot.run(&inputs).expect("a run").first();
-        let plan = CpuPlan::new(graph, &keep, None).expect("a plan");
+        let plan = CpuPlan::new(graph, &keep, None, Precision::F32).expect("a plan");
         let (host, _) = plan.run(graph, &inputs).expect("a run");
         for (name, rows) in [
             ("rpn.cls", None),

@@ -75,9 +75,10 @@ pub(super) struct NetworkArgs {
     #[arg(allow_negative_numbers = true)]
     timeout: Duration,
 
-    /// How a GPU stores maps and weights: `f16` takes half the memory and is less exact. A picture that overflows
-    /// f16 is run again in f32; stderr says so.
-    #[arg(help_heading = "Speed", long, value_name = "f32|f16", value_parser = known::<Precision>)]
+    /// How a GPU stores maps and weights, or what cores multiply: `f16`, for GPUs, takes half the memory and is less
+    /// exact. A picture that overflows f16 is run again in f32; stderr says so. `bf16` is for cores with AVX-512
+    /// BF16, and less exact; others compute in f32, and stderr says so.
+    #[arg(help_heading = "Speed", long, value_name = "f32|f16|bf16", value_parser = known::<Precision>)]
     precision: Option<Precision>,
 
     /// Longer side of the gel in the network's input, in pixels, a multiple of 32 [default: by the scale that the

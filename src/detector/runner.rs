@@ -119,7 +119,7 @@ impl Runner {
                     Some(Self::Cpu(plan, _)) => Some(&**plan),
                     _ => None,
                 };
-                let plan = CpuPlan::new(graph, keep, like)?;
+                let plan = CpuPlan::new(graph, keep, like, config.precision)?;
                 Self::Cpu(Box::new(plan), Turns::new(config.in_flight))
             }
             #[cfg(not(feature = "cpu"))]

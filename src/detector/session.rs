@@ -76,10 +76,24 @@ impl Session {
                 format!("{} ({})", gpu.info().name, gpu.info().backend)
             }
             (None, Device::Reference) => "CPU reference (f64)".to_owned(),
-            (None, _) => "CPU (f32)".to_owned(),
+            (None, _) => format!("CPU ({})", on_cores(config.precision)),
         };
-        if gpu.is_none() && config.precision.is_half() {
-            remarks.push(format!("f16 is for GPUs: {adapter} computes as ever"));
+        match (&gpu, config.precision) {
+            (None, Precision::F16) => {
+                remarks.push(format!("f16 is for GPUs: {adapter} computes as ever"));
+            }
+            (Some(_), Precision::Bf16) => {
+                remarks.push(format!("bf16 is for cores: {adapter} computes in f32"));
+            }
+            (None, Precision::Bf16)
+                if config.device == Device::Reference
+                    || on_cores(Precision::Bf16) == Precision::F32 =>
+            {
+                remarks.push(format!(
+                    "bf16 is for cores with AVX-512 BF16: {adapter} computes as ever"
+                ));
+            }
+            _ => {}
         }
         Ok(Self {
             config: config.clone(),
@@ -108,9 +122,14 @@ impl Session {
         Network::new(self.weights.clone(), [32; 2], self.wanted).map(|_| ())
     }
 
-    /// How maps and weights are stored: as the configuration says, but on the CPU.
+    /// How maps and weights are stored, or multiplied: as the configuration says, where what runs the network
+    /// does.
     pub fn precision(&self) -> Precision {
-        self.pool.as_ref().map_or(Precision::F32, |_| self.config.precision)
+        match (self.pool.is_some(), self.config.precision) {
+            (true, Precision::F16) => Precision::F16,
+            (false, precision) if self.on_cores() => on_cores(precision),
+            _ => Precision::F32,
+        }
     }
 
     /// Whether the fast path on cores runs the network.
@@ -168,6 +187,16 @@ impl Session {
         let build = || contact_map::ContactGraph::new(config, key, pool, kernels);
         self.contacts.get_or_build(key, &self.building, build).await
     }
+}
+
+/// What cores multiply where this precision is asked for.
+fn on_cores(asked: Precision) -> Precision {
+    #[cfg(feature = "cpu")]
+    if asked == Precision::Bf16 && crate::engine::cpu::multiplies_bf16() {
+        return Precision::Bf16;
+    }
+    let _ = asked;
+    Precision::F32
 }
 
 /// What was used lately, the last used last.

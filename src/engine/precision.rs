@@ -1,4 +1,4 @@
-//! How numbers are stored on a GPU, which sums in f32 always.
+//! How numbers are stored on a GPU, or multiplied on cores; sums are in f32 always.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 use crate::engine::tensor::Tensor;
 use crate::error::{Error, Result};
 
-/// How a GPU stores maps, and the weights of convolutions and layers. Sums are in f32, and so is all
-/// that scores and boxes are made of.
+/// How a GPU stores maps, and the weights of convolutions and layers, or how cores multiply them. Sums are in
+/// f32, and so is all that scores and boxes are made of.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize,
 )]
@@ -18,8 +18,10 @@ pub enum Precision {
     /// 32 bits.
     #[default]
     F32,
-    /// IEEE 754's binary16: 11 bits of significand, at most 65504, which is half the memory.
+    /// IEEE 754's binary16: 11 bits of significand, at most 65504, which is half the memory. For GPUs.
     F16,
+    /// The upper half of an f32: 8 bits of significand. For cores that multiply it, AVX-512's; maps stay in f32.
+    Bf16,
 }
 
 /// Largest relative error of rounding to f16: half the distance from 1 to the next one.
@@ -33,7 +35,7 @@ impl Precision {
     /// Bytes of four numbers.
     pub(crate) fn texel_bytes(self) -> u32 {
         match self {
-            Self::F32 => 16,
+            Self::F32 | Self::Bf16 => 16,
             Self::F16 => 8,
         }
     }
@@ -46,7 +48,7 @@ impl Precision {
     /// The bytes in which the numbers are stored.
     pub(crate) fn encode(self, numbers: &[f32]) -> Vec<u8> {
         match self {
-            Self::F32 => bytemuck::cast_slice(numbers).to_vec(),
+            Self::F32 | Self::Bf16 => bytemuck::cast_slice(numbers).to_vec(),
             Self::F16 => {
                 let halves: Vec<u16> =
                     numbers.iter().map(|x| half::f16::from_f32(*x).to_bits()).collect();
@@ -58,7 +60,7 @@ impl Precision {
     /// The numbers that are stored so.
     pub(crate) fn decode(self, bytes: &[u8]) -> Vec<f32> {
         match self {
-            Self::F32 => bytemuck::pod_collect_to_vec(bytes),
+            Self::F32 | Self::Bf16 => bytemuck::pod_collect_to_vec(bytes),
             Self::F16 => {
                 let halves: Vec<u16> = bytemuck::pod_collect_to_vec(bytes);
                 halves.into_iter().map(|x| half::f16::from_bits(x).to_f32()).collect()
@@ -72,6 +74,9 @@ impl Precision {
             Self::F32 => x,
             Self::F16 if f64::from(x.abs()) < HALF_MIN => 0.0f32.copysign(x),
             Self::F16 => half::f16::from_f32(x).to_f32(),
+            // Instructions take what is subnormal for zero.
+            Self::Bf16 if x.is_subnormal() => 0.0f32.copysign(x),
+            Self::Bf16 => half::bf16::from_f32(x).to_f32(),
         };
         let data = tensor.data();
         Tensor::from_fn(tensor.shape().clone(), |i| round(data[i]))
@@ -82,7 +87,7 @@ impl Precision {
     pub(crate) fn stored_error(self, value: f64, error: f64) -> f64 {
         let most = value.abs() + error;
         match self {
-            Self::F32 => error,
+            Self::F32 | Self::Bf16 => error,
             // Not `most < HALF_OVERFLOW`: of a NaN nothing is known.
             Self::F16 if most >= HALF_OVERFLOW || most.is_nan() => f64::INFINITY,
             Self::F16 if value.abs() - error >= HALF_MIN => error + HALF_EPS * most,
@@ -141,6 +146,7 @@ impl fmt::Display for Precision {
         f.write_str(match self {
             Self::F32 => "f32",
             Self::F16 => "f16",
+            Self::Bf16 => "bf16",
         })
     }
 }
@@ -148,13 +154,15 @@ impl fmt::Display for Precision {
 impl FromStr for Precision {
     type Err = Error;
 
-    /// `f32` or `f16`.
+    /// `f32`, `f16` or `bf16`.
     fn from_str(text: &str) -> Result<Self> {
         match text {
             "f32" => Ok(Self::F32),
             "f16" => Ok(Self::F16),
+            "bf16" => Ok(Self::Bf16),
             other => {
-                Err(Error::param("detect", "precision", "`f32` or `f16`", format!("`{other}`")))
+                let expected = "`f32`, `f16` or `bf16`";
+                Err(Error::param("detect", "precision", expected, format!("`{other}`")))
             }
         }
     }

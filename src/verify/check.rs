@@ -3,11 +3,12 @@
 //! Tests run these, and so may anyone who replaces a shader or brings a new driver: [`rows`] is what
 //! `smr-gpu check` prints and what the tests of operations assert.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 #[cfg(feature = "cpu")]
-use crate::engine::cpu::CpuPlan;
+use crate::engine::cpu::{CpuPlan, multiplies_bf16};
 use crate::engine::gpu::{Deadline, Gpu, Poison, Profile, Program, ProgramOptions, Slot};
 use crate::engine::graph::{Graph, TensorId};
 use crate::engine::kernels::{self, Kernel, Layout, Work};
@@ -25,7 +26,7 @@ use crate::error::{Error, Result};
 pub enum Target {
     /// Each kernel that fits on a device.
     Gpu(Arc<Gpu>),
-    /// This machine's CPU, in f32; as a kernel it is called [`CPU`].
+    /// This machine's CPU, in f32 and, where it has it, bf16; as a kernel it is called [`CPU`].
     #[cfg(feature = "cpu")]
     Cpu,
 }
@@ -209,11 +210,16 @@ async fn outcomes(target: &Target, case: &Case, selection: &Selection) -> Result
             }
         }
         #[cfg(feature = "cpu")]
-        Target::Cpu if !wanted(CPU) || !stored(Precision::F32) => {}
+        Target::Cpu if !wanted(CPU) => {}
         #[cfg(feature = "cpu")]
         Target::Cpu => {
-            let report = check_on_cores(&Expected::of(case)?);
-            found.push(Outcome { kernel: CPU, precision: Precision::F32, report });
+            for precision in [Precision::F32, Precision::Bf16] {
+                let Some(case) = on_cores(case, precision).filter(|_| stored(precision)) else {
+                    continue;
+                };
+                let report = check_on_cores(&Expected::of(&case)?, precision).transpose();
+                found.extend(report.map(|report| Outcome { kernel: CPU, precision, report }));
+            }
         }
     }
     Ok(found)
@@ -282,7 +288,7 @@ async fn halves(
     }
     let mut found = Vec::new();
     for (stored, kernels) in kernels {
-        let Some(case) = rounded(case, &stored) else { continue };
+        let Some(case) = rounded(case, &stored, precision) else { continue };
         let expected = Expected::of(&case)?;
         for kernel in kernels {
             let report = check_kernel(gpu, &expected, &case.inputs, (kernel, precision)).await;
@@ -294,12 +300,26 @@ async fn halves(
     Ok(found)
 }
 
+/// The case with what cores multiply in `precision` rounded to it, so that its reference multiplies the same;
+/// `None` if they multiply nothing in it.
 #[cfg(feature = "cpu")]
-/// Runs a case by the kernels of this machine's cores and holds it to its reference.
+fn on_cores(case: &Case, precision: Precision) -> Option<Cow<'_, Case>> {
+    if precision == Precision::F32 {
+        return Some(Cow::Borrowed(case));
+    }
+    let products = ["conv2d", "linear"].contains(&case.op.name()) && multiplies_bf16();
+    let factors =
+        case.op.inputs().iter().map(|name| ["input", "weight"].contains(name)).collect::<Vec<_>>();
+    if products { rounded(case, &factors, precision).map(Cow::Owned) } else { None }
+}
+
+/// Runs a case by the kernels of this machine's cores and holds it to its reference; `None` if they multiply
+/// nothing in `precision`.
 ///
 /// # Errors
 /// What the operation refuses. Wrong values are no error, but failures in the report.
-fn check_on_cores(expected: &Expected) -> Result<Report> {
+#[cfg(feature = "cpu")]
+fn check_on_cores(expected: &Expected, precision: Precision) -> Result<Option<Report>> {
     let case = expected.case();
     let mut graph = Graph::default();
     let mut given = Vec::new();
@@ -316,13 +336,16 @@ fn check_on_cores(expected: &Expected) -> Result<Report> {
     }
     let outputs = graph.apply_shared(&case.name, case.op.clone(), &inputs)?;
     outputs.iter().for_each(|id| graph.mark_output(*id));
-    let plan = CpuPlan::new(&graph, &[], None)?;
+    let plan = CpuPlan::new(&graph, &[], None, precision)?;
+    if precision != Precision::F32 && !plan.multiplies_in(precision) {
+        return Ok(None);
+    }
     plan.poison();
     let (mut values, _) = plan.run(&graph, &given)?;
     let known: Vec<Value> = outputs.iter().filter_map(|id| values.remove(id)).collect();
     let inputs: Vec<&Value> = case.inputs.iter().collect();
     let own = plan.tolerance(&inputs)?.map(|bounds| vec![Tolerance::Each(bounds)]);
-    Ok(expected.judge(&known, own.filter(|_| !case.exact)))
+    Ok(Some(expected.judge(&known, own.filter(|_| !case.exact))))
 }
 
 /// The kernels that can run a case on a device in a precision, each with the inputs that it does not read
@@ -346,14 +369,14 @@ fn fitting(
     Ok(fitting.map(|kernel| (kernel, stored(kernel))).collect())
 }
 
-/// The case with those inputs that are `stored` in f16 rounded before, so that storing them changes
-/// nothing; `None` if f16 overflows.
-fn rounded(case: &Case, stored: &[bool]) -> Option<Case> {
+/// The case with those inputs that are `stored` in a precision rounded to it before, so that storing them
+/// changes nothing; `None` if it overflows.
+fn rounded(case: &Case, stored: &[bool], precision: Precision) -> Option<Case> {
     let mut inputs = Vec::with_capacity(case.inputs.len());
     for (input, stored) in case.inputs.iter().zip(stored) {
         inputs.push(match input {
             Value::F32(tensor) if *stored => {
-                let half = Precision::F16.rounded(tensor);
+                let half = precision.rounded(tensor);
                 let mut pairs = tensor.data().iter().zip(half.data());
                 if pairs.any(|(x, half)| x.is_finite() && !half.is_finite()) {
                     return None;
@@ -365,7 +388,7 @@ fn rounded(case: &Case, stored: &[bool]) -> Option<Case> {
     }
     let same = inputs == case.inputs;
     Some(Case {
-        name: format!("{} in f16", case.name),
+        name: format!("{} in {precision}", case.name),
         op: case.op.clone(),
         inputs,
         by_hand: case.by_hand.clone().filter(|_| same),

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use smr_gpu::engine::cpu::multiplies_bf16;
 use smr_gpu::engine::gpu::Gpu;
 use smr_gpu::engine::lower::KernelChoice;
 use smr_gpu::engine::tuned::Place;
@@ -89,7 +90,16 @@ impl Plan {
                 Setup { kernels, ..base.clone() }
             }));
             // Who has no adapter wants to know what each network costs without.
-            single.extend(networks.into_iter().map(|s| Setup { device: CPU.into(), ..s }));
+            let all = networks.iter().cloned();
+            single.extend(all.map(|s| Setup { device: CPU.into(), ..s }));
+        }
+        if multiplies_bf16() {
+            let on_cores = networks.iter().filter(|s| s.size.is_none() && s.leave_out.is_empty());
+            single.extend(on_cores.map(|s| Setup {
+                device: CPU.into(),
+                precision: Precision::Bf16,
+                ..s.clone()
+            }));
         }
         let place = gpu.map(|(gpu, _)| Place::of(gpu));
         let weights = weights.iter().map(|(w, _, digest)| (w.clone(), digest.clone())).collect();
@@ -115,7 +125,10 @@ impl Plan {
                 for c in &front {
                     let gpu = c.device != CPU;
                     let kernels = if gpu { c.kernels.clone() } else { Vec::new() };
-                    let precision = if gpu { c.precision } else { Precision::F32 };
+                    let precision = match (gpu, c.precision) {
+                        (true, Precision::Bf16) | (false, Precision::F16) => Precision::F32,
+                        (_, precision) => precision,
+                    };
                     let (weights, device) = (a.weights.clone(), c.device.clone());
                     add(Setup {
                         weights,
@@ -232,10 +245,12 @@ mod tests {
         let weights = ["large", "small"]
             .map(|w| (w.to_owned(), WeightSource::File("gone".into()), String::new()));
         let sizes = [160, 192, 224, 256, 288, 384];
+        // Both networks in bf16 besides, where these cores have it.
+        let brain = if multiplies_bf16() { 2 } else { 0 };
         // Three pictures are no four at a time.
-        assert_eq!(Plan::new(&weights, &sizes, None, 3).single.len(), 14);
+        assert_eq!(Plan::new(&weights, &sizes, None, 3).single.len(), 14 + brain);
         let plan = Plan::new(&weights, &sizes, None, 4);
-        assert_eq!(plan.single.len(), 15);
+        assert_eq!(plan.single.len(), 15 + brain);
         assert!(plan.single.iter().all(|s| s.device == "cpu" && s.kernels.is_empty()));
         let time = |s: &Setup| match s.weights == "small" {
             true => 1.0,

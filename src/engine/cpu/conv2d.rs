@@ -4,13 +4,15 @@
 use std::sync::Arc;
 
 use super::epilogue::{Epilogue, MapShape};
-use super::gemm::{Panels, order, vectorised};
+use super::gemm::{Panels, Part, order, order_of_pairs, pairs, vectorised};
 use super::kernel::{Data, Kernel};
 use super::packs::Pack;
+use super::scratch::Scratch;
 use super::winograd::Winograd;
 use crate::engine::cores::{each, each_with};
 use crate::engine::ops::Conv2d;
 use crate::engine::ops::bounds::magnitude;
+use crate::engine::precision::Precision;
 use crate::engine::reference;
 use crate::engine::shape::TensorSpec;
 use crate::engine::tensor::{Tensor, Value};
@@ -36,6 +38,8 @@ pub(super) struct Convolution {
 enum Algorithm {
     /// Weights in [`Panels`], their inputs in the order `[kh, kw, I]`.
     Im2col(Arc<Vec<f32>>),
+    /// The same in pairs of bf16.
+    Pairs(Arc<Vec<f32>>),
     Winograd(Winograd),
 }
 
@@ -56,9 +60,13 @@ impl Convolution {
         let [out_h, out_w] = [1, 2].map(|i| output.shape.0[i]);
         let shape = MapShape { in_c, in_h, in_w, out_c, out_h, out_w, kh, kw };
         let bias = bias.map_or_else(|| vec![0.0; out_c], |b| b.data().to_vec());
-        let algorithm = match Winograd::fits(&op, &shape) && !pack.all.lean {
-            true => Algorithm::Winograd(Winograd::new(shape, pack)?),
-            false => Algorithm::Im2col(pack.get("im2col", channels_last)?),
+        // Winograd's quarter of the products in f32 takes no longer than all in bf16.
+        let algorithm = if Winograd::fits(&op, &shape) && !pack.all.lean {
+            Algorithm::Winograd(Winograd::new(shape, pack)?)
+        } else if pack.pairs && in_c.is_multiple_of(2) {
+            Algorithm::Pairs(pack.get("im2col in bf16", |w| channels_last(w, true))?)
+        } else {
+            Algorithm::Im2col(pack.get("im2col", |w| channels_last(w, false))?)
         };
         Ok(Self { op, shape, algorithm, epilogue: Epilogue { bias, relu: op.relu } })
     }
@@ -69,52 +77,66 @@ impl Convolution {
         self.shape.kh * self.shape.kw == 1 && stride == 1 && padding == 0
     }
 
-    fn im2col(&self, weight: &[f32], input: &[f32], residual: Option<&[f32]>, output: &mut [f32]) {
-        let MapShape { out_c, .. } = self.shape;
-        let (pixels, terms) = (self.shape.pixels(), self.shape.terms());
-        let weight = Panels::of(weight, out_c, terms);
+    /// `input` and `weight` are numbers, or pairs of them as `shape` says.
+    fn im2col(
+        &self,
+        shape: MapShape,
+        weight: Panels,
+        input: &[f32],
+        residual: Option<&[f32]>,
+        output: &mut [f32],
+    ) {
+        let MapShape { out_c, .. } = shape;
+        let (pixels, terms) = (shape.pixels(), shape.terms());
         let residual = |first: usize, count: usize| {
             residual.map(|r| &r[first * out_c..(first + count) * out_c])
         };
         if pixels >= MANY_PIXELS {
             let tile = (TILE / terms).min(pixels / PIECES).clamp(16, 512);
-            let scratch = || (vec![0.0; tile * terms], vec![0.0; tile * out_c]);
+            let scratch = || [terms, out_c].map(|width| Scratch::new(tile * width));
             each_with(
                 output.chunks_mut(tile * out_c).enumerate(),
                 scratch,
-                |(columns, sums), (index, output)| {
+                |[columns, sums], (index, output)| {
                     let (first, count) = (index * tile, output.len() / out_c);
                     let rows = if self.is_pointwise() {
                         &input[first * terms..(first + count) * terms]
                     } else {
-                        self.gather(input, first, &mut columns[..count * terms]);
+                        self.gather(shape, input, first, &mut columns[..count * terms]);
                         &columns[..count * terms]
                     };
                     weight.multiply(sums, rows, count);
-                    vectorised(|| {
-                        self.epilogue_of(output, sums, 0, out_c, residual(first, count));
-                    });
+                    vectorised(
+                        #[inline(always)]
+                        || {
+                            self.epilogue_of(output, sums, 0, out_c, residual(first, count));
+                        },
+                    );
                 },
             );
             return;
         }
         let columns = if self.is_pointwise() {
-            Vec::new()
+            Scratch::new(0)
         } else {
-            let mut columns = vec![0.0; pixels * terms];
+            let mut columns = Scratch::new(pixels * terms);
             let tile = pixels.div_ceil(PIECES).max(1);
             let parts = columns.chunks_mut(tile * terms).enumerate();
-            each(parts, |(i, part)| self.gather(input, i * tile, part));
+            each(parts, |(i, part)| self.gather(shape, input, i * tile, part));
             columns
         };
         let rows = if self.is_pointwise() { input } else { &columns };
         let parts = weight.shared(rows, pixels);
-        vectorised(|| {
-            for (first, sums) in &parts {
-                let count = sums.len() / pixels;
-                self.epilogue_of(output, sums, *first, count, residual(0, pixels));
-            }
-        });
+        vectorised(
+            #[inline(always)]
+            || {
+                for Part { first, outputs, rows, sums } in &parts {
+                    let output = &mut output[rows.start * out_c..rows.end * out_c];
+                    let residual = residual(rows.start, rows.len());
+                    self.epilogue_of(output, sums, *first, *outputs, residual);
+                }
+            },
+        );
     }
 
     /// The epilogue for the channels from `first`, `count` of each pixel in `sums`.
@@ -136,10 +158,10 @@ impl Convolution {
     }
 
     /// The inputs of each output pixel from `first` side by side, `[pixels][kh, kw, I]`.
-    fn gather(&self, input: &[f32], first: usize, columns: &mut [f32]) {
-        let MapShape { in_c, in_h, in_w, out_w, kh, kw, .. } = self.shape;
+    fn gather(&self, shape: MapShape, input: &[f32], first: usize, columns: &mut [f32]) {
+        let MapShape { in_c, in_h, in_w, out_w, kh, kw, .. } = shape;
         let Conv2d { stride, padding, dilation, .. } = self.op;
-        for (i, column) in columns.chunks_exact_mut(self.shape.terms()).enumerate() {
+        for (i, column) in columns.chunks_exact_mut(shape.terms()).enumerate() {
             let (oy, ox) = ((first + i) / out_w, (first + i) % out_w);
             for (ky, row) in column.chunks_exact_mut(kw * in_c).enumerate() {
                 // Wraps below zero to a large number, so that one comparison finds both sides.
@@ -166,21 +188,33 @@ impl Convolution {
     }
 }
 
-/// Packs `[O, I, kh, kw]`, with the inputs of an output in the order `[kh, kw, I]`.
-fn channels_last(weight: &Tensor) -> Vec<f32> {
-    let [_, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
+/// Packs `[O, I, kh, kw]`, with the inputs of an output in the order `[kh, kw, I]`, or pairs of them.
+fn channels_last(weight: &Tensor, pairs: bool) -> Vec<f32> {
+    let [out_c, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
     let taps = kh * kw;
-    let mut packed = vec![0.0; weight.data().len()];
-    Panels::fill(&mut packed, in_c * taps, |o, k| {
+    let of = |o: usize, k: usize| {
         let (tap, i) = (k / in_c, k % in_c);
         weight.data()[(o * in_c + i) * taps + tap]
-    });
+    };
+    let words = if pairs { in_c * taps / 2 } else { in_c * taps };
+    let mut packed = vec![0.0; out_c * words];
+    match pairs {
+        false => Panels::fill(&mut packed, words, of),
+        true => Panels::fill_pairs(&mut packed, words, of),
+    }
     packed
 }
 
 impl Kernel for Convolution {
     fn packed(&self) -> &'static [usize] {
         if self.op.bias { &[1, 2] } else { &[1] }
+    }
+
+    fn precision(&self) -> Precision {
+        match self.algorithm {
+            Algorithm::Pairs(_) => Precision::Bf16,
+            _ => Precision::F32,
+        }
     }
 
     fn tolerance(&self, inputs: &[&Value]) -> crate::error::Result<Option<Vec<f64>>> {
@@ -192,7 +226,11 @@ impl Kernel for Convolution {
             return Ok(Some(kernel.tolerance(&input, bias, residual)));
         }
         let sums = reference::conv2d(&input, &weight, bias, residual, self.op.shape(), false);
-        let order = order(self.shape.terms()).and(2);
+        let order = match self.algorithm {
+            Algorithm::Pairs(_) => order_of_pairs(self.shape.terms()),
+            _ => order(self.shape.terms()),
+        };
+        let order = order.and(2);
         Ok(Some(sums.data().iter().map(|sum| order.error(f64::from(*sum))).collect()))
     }
 
@@ -203,7 +241,15 @@ impl Kernel for Convolution {
             false => None,
         };
         match &self.algorithm {
-            Algorithm::Im2col(weight) => self.im2col(weight, input, residual, outputs[0]),
+            Algorithm::Im2col(weight) => {
+                let weight = Panels::of(weight, self.shape.out_c, self.shape.terms());
+                self.im2col(self.shape, weight, input, residual, outputs[0]);
+            }
+            Algorithm::Pairs(weight) => {
+                let shape = MapShape { in_c: self.shape.in_c / 2, ..self.shape };
+                let weight = Panels::of_pairs(weight, shape.out_c, shape.terms());
+                self.im2col(shape, weight, &pairs(input), residual, outputs[0]);
+            }
             Algorithm::Winograd(kernel) => {
                 kernel.run(input, residual, &self.epilogue, outputs[0]);
             }

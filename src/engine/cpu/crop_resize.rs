@@ -43,28 +43,31 @@ impl Kernel for Resize {
             outputs[0].chunks_mut(self.op.width * RGB).zip(&rows),
             || (vec![0.0f32; (to - from) * RGB + 1], vec![[0; RGB]; to - from]),
             |(line, converted), (out, (first, weights))| {
-                vectorised(|| {
-                    line.fill(0.0);
-                    for (j, weight) in weights.iter().enumerate() {
-                        let row = crop.rgb(bytes, from..to, first + j, converted);
-                        // Flat, so that it fills vectors.
-                        for ((sum, byte), level) in line.iter_mut().zip(row).zip(&levels) {
-                            *sum += weight * (f32::from(*byte) - level);
-                        }
-                    }
-                    for (out, (first, weights)) in out.chunks_exact_mut(RGB).zip(&columns) {
-                        let mut sum = [0.0f32; LANES];
-                        let pixels = line[first * RGB..].windows(LANES).step_by(RGB);
-                        for (weight, pixel) in weights.iter().zip(pixels) {
-                            for (sum, x) in sum.iter_mut().zip(pixel) {
-                                *sum += weight * x;
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        line.fill(0.0);
+                        for (j, weight) in weights.iter().enumerate() {
+                            let row = crop.rgb(bytes, from..to, first + j, converted);
+                            // Flat, so that it fills vectors.
+                            for ((sum, byte), level) in line.iter_mut().zip(row).zip(&levels) {
+                                *sum += weight * (f32::from(*byte) - level);
                             }
                         }
-                        for c in 0..RGB {
-                            out[c] = sum[c] * scale[c] - rest[c];
+                        for (out, (first, weights)) in out.chunks_exact_mut(RGB).zip(&columns) {
+                            let mut sum = [0.0f32; LANES];
+                            let pixels = line[first * RGB..].windows(LANES).step_by(RGB);
+                            for (weight, pixel) in weights.iter().zip(pixels) {
+                                for (sum, x) in sum.iter_mut().zip(pixel) {
+                                    *sum += weight * x;
+                                }
+                            }
+                            for c in 0..RGB {
+                                out[c] = sum[c] * scale[c] - rest[c];
+                            }
                         }
-                    }
-                });
+                    },
+                );
             },
         );
         Ok(())

@@ -2,6 +2,7 @@
 
 use std::fmt::Debug;
 
+use crate::engine::precision::Precision;
 use crate::engine::shape::TensorSpec;
 use crate::engine::tensor::Value;
 use crate::error::{Error, Result};
@@ -86,6 +87,11 @@ pub(crate) trait Kernel: Debug + Send + Sync {
     /// As the operation's reference.
     fn tolerance(&self, _inputs: &[&Value]) -> Result<Option<Vec<f64>>> {
         Ok(None)
+    }
+
+    /// What it multiplies: f32 or bf16.
+    fn precision(&self) -> Precision {
+        Precision::F32
     }
 
     /// Computes the outputs. Those of integers hold their bits; what a count leaves undefined may

@@ -2,12 +2,13 @@
 
 use std::sync::Arc;
 
-use super::gemm::{Panels, order};
+use super::gemm::{Panels, Part, order, order_of_pairs, pairs};
 use super::kernel::{Data, Kernel, Layout, map_sizes};
 use super::packs::Pack;
 use crate::engine::ops::Linear;
 use crate::engine::ops::bounds::magnitude;
 use crate::engine::ops::linear::rows;
+use crate::engine::precision::Precision;
 use crate::engine::reference;
 use crate::engine::shape::TensorSpec;
 use crate::engine::tensor::{Tensor, Value};
@@ -20,6 +21,10 @@ pub(super) struct FullyConnected {
     rows: usize,
     /// How a row lies.
     layout: Layout,
+    /// Inputs of a row.
+    inner: usize,
+    /// Whether products are of pairs in bf16.
+    pairs: bool,
     weight: Arc<Vec<f32>>,
     bias: Vec<f32>,
 }
@@ -38,17 +43,23 @@ impl FullyConnected {
             }
             _ => (Layout::Planar, inner, 1),
         };
+        let pairs = pack.pairs && inner.is_multiple_of(2);
         let channels_last = |weight: &Tensor| {
-            let mut packed = vec![0.0; outputs * inner];
-            Panels::fill(&mut packed, inner, |o, k| {
+            let of = |o: usize, k: usize| {
                 let (pixel, channel) = (k / channels, k % channels);
                 weight.data()[o * inner + channel * pixels + pixel]
-            });
+            };
+            let words = if pairs { inner / 2 } else { inner };
+            let mut packed = vec![0.0; outputs * words];
+            match pairs {
+                false => Panels::fill(&mut packed, words, of),
+                true => Panels::fill_pairs(&mut packed, words, of),
+            }
             packed
         };
-        let weight = pack.get("linear", channels_last)?;
+        let weight = pack.get(if pairs { "linear in bf16" } else { "linear" }, channels_last)?;
         let rows = rows(&input.shape);
-        Ok(Self { op, rows, layout, weight, bias: bias.data().to_vec() })
+        Ok(Self { op, rows, layout, inner, pairs, weight, bias: bias.data().to_vec() })
     }
 }
 
@@ -65,10 +76,14 @@ impl Kernel for FullyConnected {
         &[1, 2]
     }
 
+    fn precision(&self) -> Precision {
+        if self.pairs { Precision::Bf16 } else { Precision::F32 }
+    }
+
     fn tolerance(&self, inputs: &[&Value]) -> crate::error::Result<Option<Vec<f64>>> {
         let (input, weight) = (magnitude(inputs[0])?, magnitude(inputs[1])?);
         let sums = reference::linear(&input, &weight, &magnitude(inputs[2])?, self.rows, false);
-        let order = order(weight.dims()[1]).and(1);
+        let order = if self.pairs { order_of_pairs(self.inner) } else { order(self.inner) }.and(1);
         Ok(Some(sums.data().iter().map(|sum| order.error(f64::from(*sum))).collect()))
     }
 
@@ -79,12 +94,17 @@ impl Kernel for FullyConnected {
             false => self.rows,
         };
         let outputs_a_row = self.bias.len();
-        let inner = self.weight.len() / outputs_a_row;
-        let input = &input[..rows * inner];
-        for (first, sums) in Panels::of(&self.weight, outputs_a_row, inner).shared(input, rows) {
-            let count = sums.len() / rows.max(1);
+        let input = &input[..rows * self.inner];
+        let parts = match self.pairs {
+            false => Panels::of(&self.weight, outputs_a_row, self.inner).shared(input, rows),
+            true => {
+                let panels = Panels::of_pairs(&self.weight, outputs_a_row, self.inner / 2);
+                panels.shared(&pairs(input), rows)
+            }
+        };
+        for Part { first, outputs: count, rows, sums } in parts {
             let bias = &self.bias[first..][..count];
-            for (row, sums) in sums.chunks_exact(count.max(1)).enumerate() {
+            for (row, sums) in rows.zip(sums.chunks_exact(count)) {
                 let to = &mut outputs[0][row * outputs_a_row + first..][..count];
                 for ((to, sum), bias) in to.iter_mut().zip(sums).zip(bias) {
                     let value = sum + bias;

@@ -21,15 +21,19 @@ impl Kernel for Gates {
         let run = RUN * self.channels;
         let parts = input.chunks(run).zip(spatial.chunks(RUN));
         each(outputs[0].chunks_mut(run).zip(parts), |(out, (input, spatial))| {
-            vectorised(|| {
-                let pixels = out.chunks_exact_mut(self.channels);
-                for ((out, input), s) in pixels.zip(input.chunks_exact(self.channels)).zip(spatial)
-                {
-                    for ((out, x), gate) in out.iter_mut().zip(input).zip(gate) {
-                        *out = x * (gate * s);
+            vectorised(
+                #[inline(always)]
+                || {
+                    let pixels = out.chunks_exact_mut(self.channels);
+                    for ((out, input), s) in
+                        pixels.zip(input.chunks_exact(self.channels)).zip(spatial)
+                    {
+                        for ((out, x), gate) in out.iter_mut().zip(input).zip(gate) {
+                            *out = x * (gate * s);
+                        }
                     }
-                }
-            });
+                },
+            );
         });
         Ok(())
     }
@@ -46,13 +50,16 @@ impl Kernel for Sum {
             inputs[1..].iter().map(|map| map.f32()).collect::<Result<_, _>>()?;
         const PART: usize = 16 * 1024;
         each(outputs[0].chunks_mut(PART).enumerate(), |(i, out)| {
-            vectorised(|| {
-                for (k, (weight, map)) in weights.iter().zip(&maps).enumerate() {
-                    for (out, x) in out.iter_mut().zip(&map[i * PART..]) {
-                        *out = if k == 0 { weight * x } else { *out + weight * x };
+            vectorised(
+                #[inline(always)]
+                || {
+                    for (k, (weight, map)) in weights.iter().zip(&maps).enumerate() {
+                        for (out, x) in out.iter_mut().zip(&map[i * PART..]) {
+                            *out = if k == 0 { weight * x } else { *out + weight * x };
+                        }
                     }
-                }
-            });
+                },
+            );
         });
         Ok(())
     }
@@ -97,17 +104,20 @@ impl Kernel for Bilinear {
             |y: usize, x: usize| &input[(y * self.width + x) * self.channels..][..self.channels];
         let row = self.columns.len() * self.channels;
         each(outputs[0].chunks_mut(row).zip(&self.rows), |(out, y)| {
-            vectorised(|| {
-                for (out, x) in out.chunks_exact_mut(self.channels).zip(&self.columns) {
-                    let [a, b] = [pixel(y.low, x.low), pixel(y.low, x.high)];
-                    let [c, d] = [pixel(y.high, x.low), pixel(y.high, x.high)];
-                    for (i, out) in out.iter_mut().enumerate() {
-                        let top = a[i] * (1.0 - x.along) + b[i] * x.along;
-                        let bottom = c[i] * (1.0 - x.along) + d[i] * x.along;
-                        *out = top * (1.0 - y.along) + bottom * y.along;
+            vectorised(
+                #[inline(always)]
+                || {
+                    for (out, x) in out.chunks_exact_mut(self.channels).zip(&self.columns) {
+                        let [a, b] = [pixel(y.low, x.low), pixel(y.low, x.high)];
+                        let [c, d] = [pixel(y.high, x.low), pixel(y.high, x.high)];
+                        for (i, out) in out.iter_mut().enumerate() {
+                            let top = a[i] * (1.0 - x.along) + b[i] * x.along;
+                            let bottom = c[i] * (1.0 - x.along) + d[i] * x.along;
+                            *out = top * (1.0 - y.along) + bottom * y.along;
+                        }
                     }
-                }
-            });
+                },
+            );
         });
         Ok(())
     }
@@ -151,22 +161,25 @@ impl Kernel for SpatialGates {
             to[REACH..REACH + width].copy_from_slice(from);
         }
         each(outputs[0].chunks_mut(width).enumerate(), |(y, out)| {
-            vectorised(|| {
-                out.fill(self.bias);
-                for (tap, weight) in self.weight.iter().enumerate() {
-                    let (plane, ky, kx) = (tap / 49, tap / 7 % 7, tap % 7);
-                    let iy = (y + ky).wrapping_sub(REACH);
-                    if iy < height {
-                        let row = &padded[(plane * height + iy) * wide + kx..][..width];
-                        for (out, x) in out.iter_mut().zip(row) {
-                            *out += weight * x;
+            vectorised(
+                #[inline(always)]
+                || {
+                    out.fill(self.bias);
+                    for (tap, weight) in self.weight.iter().enumerate() {
+                        let (plane, ky, kx) = (tap / 49, tap / 7 % 7, tap % 7);
+                        let iy = (y + ky).wrapping_sub(REACH);
+                        if iy < height {
+                            let row = &padded[(plane * height + iy) * wide + kx..][..width];
+                            for (out, x) in out.iter_mut().zip(row) {
+                                *out += weight * x;
+                            }
                         }
                     }
-                }
-                for out in out.iter_mut() {
-                    *out = 1.0 / (1.0 + (-*out).exp());
-                }
-            });
+                    for out in out.iter_mut() {
+                        *out = 1.0 / (1.0 + (-*out).exp());
+                    }
+                },
+            );
         });
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! The network in f32 on this machine's CPU, for machines without an adapter.
+//! The network in f32, or with products in bf16, on this machine's CPU, for machines without an adapter.
 //!
 //! A [`CpuPlan`] is a [`Graph`] made ready: each operation by a kernel with
 //! its weights packed, each tensor in a buffer that is reused when it is dead. Maps lie with a
@@ -8,11 +8,11 @@
 //! | file | what it holds |
 //! |---|---|
 //! | `kernel` | what every kernel offers |
-//! | `gemm`, `packs` | matrix products, and weights packed for them |
+//! | `gemm`, `avx512`, `packs`, `scratch` | matrix products, those of bf16, weights packed for them, memory that stays |
 //! | `epilogue`, `winograd`, `conv2d`, `linear` | convolutions and fully connected layers, as matrix products |
 //! | `crop_resize` | the network's input |
 //! | `pooling`, `maps` | CBAM's poolings and gates, the largest in windows, interpolation, weighted sums |
-//! | `roi_align` | features of each box |
+//! | `proposals`, `roi_align` | the best anchors, and features of each box |
 //! | `reference` | everything else, which is small: as [`crate::engine::reference`] does |
 //! | `select` | which of them computes an operation |
 //! | `plan` | [`CpuPlan`] |
@@ -20,6 +20,7 @@
 //! It knows no GPU. Results are within the bounds to which a shader is held, but not bit for bit
 //! those of another machine: the matrix product chooses its order by the CPU.
 
+mod avx512;
 mod conv2d;
 mod crop_resize;
 mod epilogue;
@@ -30,13 +31,16 @@ mod maps;
 mod packs;
 mod plan;
 mod pooling;
+mod proposals;
 mod reference;
 mod roi_align;
+mod scratch;
 mod select;
 mod winograd;
 
 #[cfg(doc)]
 use crate::engine::graph::Graph;
 
+pub use avx512::multiplies_bf16;
 pub use plan::CpuPlan;
 pub(crate) use plan::Given;

@@ -42,6 +42,8 @@ pub(super) struct Pack<'a> {
     pub all: &'a Packs,
     pub name: &'a str,
     pub weight: &'a Constant,
+    /// Whether products are of pairs in bf16 where the kernel has them.
+    pub pairs: bool,
 }
 
 impl Pack<'_> {
@@ -104,7 +106,7 @@ mod tests {
             Ok(Tensor::new([2], vec![1.0f32, 2.0])?.into())
         });
         let all = Packs::default();
-        let pack = Pack { all: &all, name: "w", weight: &weight };
+        let pack = Pack { all: &all, name: "w", weight: &weight, pairs: false };
         let get = |manner| pack.get(manner, |w| w.data().to_vec()).expect("a weight");
         assert_eq!([get("one"), get("one")].map(|packed| packed.to_vec()), [[1.0, 2.0]; 2]);
         assert_eq!(made.load(Ordering::Relaxed), 1);
@@ -114,7 +116,7 @@ mod tests {
         let broken = Constant::made(TensorSpec::f32([2]), || {
             Tensor::<f32>::new([2], vec![]).map(Into::into)
         });
-        let pack = Pack { all: &all, name: "broken", weight: &broken };
+        let pack = Pack { all: &all, name: "broken", weight: &broken, pairs: false };
         assert!(pack.get("one", |w| w.data().to_vec()).is_err());
         assert!(pack.get("one", |w| w.data().to_vec()).is_err());
     }

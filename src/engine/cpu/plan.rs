@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use super::avx512::multiplies_bf16;
 use super::kernel::{Data, Kernel, Layout, convert};
 use super::packs::Packs;
 use super::reference::Reference;
@@ -13,6 +14,7 @@ use web_time::Instant;
 use crate::engine::cores::Caller;
 use crate::engine::graph::{Graph, Source, StageTime, TensorId};
 use crate::engine::lock::lock;
+use crate::engine::precision::Precision;
 use crate::engine::shape::{DType, TensorSpec};
 use crate::engine::tensor::{Constant, Tensor, Value};
 use crate::error::{Error, Result};
@@ -90,13 +92,21 @@ impl std::fmt::Debug for CpuPlan {
 
 impl CpuPlan {
     /// Packs the weights of `graph`. A run gives back its outputs and the tensors in `keep`. Weights that
-    /// `like` has packed, a plan of the same weights, are shared.
+    /// `like` has packed, a plan of the same weights, are shared. In [`Precision::Bf16`] products are of numbers
+    /// rounded to it, where this CPU [`multiplies_bf16`] and the kernel knows how; else all are in f32.
     ///
     /// # Errors
     /// What the kernels refuse.
-    pub fn new(graph: &Graph, keep: &[TensorId], like: Option<&Self>) -> Result<Self> {
+    pub fn new(
+        graph: &Graph,
+        keep: &[TensorId],
+        like: Option<&Self>,
+        precision: Precision,
+    ) -> Result<Self> {
+        let pairs = precision == Precision::Bf16 && multiplies_bf16();
         let packs = like.map_or_else(|| Arc::new(Packs::new(graph)), |plan| plan.packs.clone());
-        let mut builder = Builder { graph, packs: &packs, made: HashMap::new(), steps: Vec::new() };
+        let mut builder =
+            Builder { graph, packs: &packs, pairs, made: HashMap::new(), steps: Vec::new() };
         let mut constants = Vec::new();
         for node in graph.nodes() {
             builder.add(node, &mut constants)?;
@@ -268,6 +278,15 @@ impl CpuPlan {
         Ok(None)
     }
 
+    /// Whether any kernel multiplies in this precision.
+    pub(crate) fn multiplies_in(&self, precision: Precision) -> bool {
+        let is = |step: &Step| match &step.work {
+            Work::Kernel(kernel) => kernel.precision() == precision,
+            Work::Convert(_) => false,
+        };
+        self.steps.iter().any(is)
+    }
+
     /// Gives the next run buffers full of NaN, which shows what a kernel leaves out.
     pub(crate) fn poison(&self) {
         lock(&self.idle).push(self.sizes.iter().map(|n| vec![f32::NAN; *n]).collect());
@@ -300,6 +319,7 @@ impl CpuPlan {
 struct Builder<'a> {
     graph: &'a Graph,
     packs: &'a Packs,
+    pairs: bool,
     /// The layout in which each tensor is made.
     made: HashMap<TensorId, Layout>,
     steps: Vec<Step>,
@@ -320,7 +340,8 @@ impl Builder<'_> {
         let known: Vec<Option<&Constant>> = node.inputs.iter().map(constant).collect();
         let (op, outputs) = (node.op.as_ref(), &output_specs);
         let name = node.inputs.get(1).map_or("", |id| self.graph.name(*id));
-        let kernel = match select::kernel(op, &input_specs, outputs, &known, self.packs, name)? {
+        let packs = (self.packs, self.pairs);
+        let kernel = match select::kernel(op, &input_specs, outputs, &known, packs, name)? {
             Some(kernel) => kernel,
             None => Box::new(Reference::new(node.op.clone(), input_specs.clone())),
         };

@@ -41,19 +41,22 @@ impl Kernel for Windows {
             first..(at * stride + kernel).saturating_sub(padding).min(length)
         };
         each(outputs[0].chunks_mut(out_w * channels).enumerate(), |(oy, row)| {
-            vectorised(|| {
-                for (ox, out) in row.chunks_exact_mut(channels).enumerate() {
-                    out.fill(f32::NEG_INFINITY);
-                    for y in inside(oy, in_h) {
-                        for x in inside(ox, in_w) {
-                            let from = &input[(y * in_w + x) * channels..][..channels];
-                            for (out, value) in out.iter_mut().zip(from) {
-                                *out = larger(*out, *value);
+            vectorised(
+                #[inline(always)]
+                || {
+                    for (ox, out) in row.chunks_exact_mut(channels).enumerate() {
+                        out.fill(f32::NEG_INFINITY);
+                        for y in inside(oy, in_h) {
+                            for x in inside(ox, in_w) {
+                                let from = &input[(y * in_w + x) * channels..][..channels];
+                                for (out, value) in out.iter_mut().zip(from) {
+                                    *out = larger(*out, *value);
+                                }
                             }
                         }
                     }
-                }
-            });
+                },
+            );
         });
         Ok(())
     }
@@ -82,14 +85,17 @@ impl OverSpace {
         each(parts.chunks_mut(2 * channels).zip(runs), |(part, run)| {
             let (sum, most) = part.split_at_mut(channels);
             most.fill(f32::NEG_INFINITY);
-            vectorised(|| {
-                for pixel in run.chunks_exact(channels) {
-                    for ((sum, most), x) in sum.iter_mut().zip(most.iter_mut()).zip(pixel) {
-                        *sum += x;
-                        *most = larger(*most, *x);
+            vectorised(
+                #[inline(always)]
+                || {
+                    for pixel in run.chunks_exact(channels) {
+                        for ((sum, most), x) in sum.iter_mut().zip(most.iter_mut()).zip(pixel) {
+                            *sum += x;
+                            *most = larger(*most, *x);
+                        }
                     }
-                }
-            });
+                },
+            );
         });
         let mut total = vec![0f64; channels];
         maxima.fill(f32::NEG_INFINITY);
@@ -153,23 +159,26 @@ impl Kernel for OverChannels {
         each(
             largest.chunks_mut(RUN).zip(means.chunks_mut(RUN)).zip(pixels),
             |((largest, means), pixels)| {
-                vectorised(|| {
-                    let each = largest.iter_mut().zip(means).zip(pixels.chunks_exact(channels));
-                    for ((largest, mean), pixel) in each {
-                        let mut sum = [0.0f32; LANES];
-                        let mut most = [f32::NEG_INFINITY; LANES];
-                        for (pixel, gate) in pixel.chunks(LANES).zip(gate.chunks(LANES)) {
-                            let lanes = sum.iter_mut().zip(&mut most).zip(pixel).zip(gate);
-                            for (((sum, most), x), gate) in lanes {
-                                let gated = x * gate;
-                                *sum += gated;
-                                *most = larger(*most, gated);
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        let each = largest.iter_mut().zip(means).zip(pixels.chunks_exact(channels));
+                        for ((largest, mean), pixel) in each {
+                            let mut sum = [0.0f32; LANES];
+                            let mut most = [f32::NEG_INFINITY; LANES];
+                            for (pixel, gate) in pixel.chunks(LANES).zip(gate.chunks(LANES)) {
+                                let lanes = sum.iter_mut().zip(&mut most).zip(pixel).zip(gate);
+                                for (((sum, most), x), gate) in lanes {
+                                    let gated = x * gate;
+                                    *sum += gated;
+                                    *most = larger(*most, gated);
+                                }
                             }
+                            *largest = most.into_iter().fold(f32::NEG_INFINITY, larger);
+                            *mean = sum.iter().sum::<f32>() / channels as f32;
                         }
-                        *largest = most.into_iter().fold(f32::NEG_INFINITY, larger);
-                        *mean = sum.iter().sum::<f32>() / channels as f32;
-                    }
-                });
+                    },
+                );
             },
         );
         Ok(())

@@ -3,28 +3,29 @@
 use std::any::Any;
 
 use super::kernel::Kernel;
-use super::{conv2d, crop_resize, linear, maps, packs, pooling, roi_align};
+use super::{conv2d, crop_resize, linear, maps, packs, pooling, proposals, roi_align};
 use crate::engine::ops::{
-    ApplyGates, ChannelPool, Conv2d, CropResize, GlobalAvgPool, Linear, MaxPool2d, Op, RoiAlign,
-    SpatialGate, SpatialPool, UpsampleBilinear, WeightedSum,
+    ApplyGates, ChannelPool, Conv2d, CropResize, DecodeProposals, GlobalAvgPool, Linear, MaxPool2d,
+    Op, RoiAlign, SpatialGate, SpatialPool, TopK, UpsampleBilinear, WeightedSum,
 };
 use crate::engine::shape::TensorSpec;
 use crate::engine::tensor::Constant;
 use crate::error::Result;
 
 /// The kernel for an operation on inputs of these shapes. `constants` holds those inputs that are known
-/// now; weights, by their `name`, that `packs` has got already are shared.
+/// now; weights, by their `name`, that `packs` has got already are shared. `pairs` says whether products are of
+/// pairs in bf16.
 pub(super) fn kernel(
     op: &dyn Op,
     inputs: &[TensorSpec],
     outputs: &[TensorSpec],
     constants: &[Option<&Constant>],
-    packs: &packs::Packs,
+    (packs, pairs): (&packs::Packs, bool),
     name: &str,
 ) -> Result<Option<Box<dyn Kernel>>> {
     let any: &dyn Any = op;
     let constant = |index: usize| constants.get(index).copied().flatten();
-    let pack = constant(1).map(|weight| packs::Pack { all: packs, name, weight });
+    let pack = constant(1).map(|weight| packs::Pack { all: packs, name, weight, pairs });
     if let Some(op) = any.downcast_ref::<Conv2d>() {
         let bias = if op.bias { constant(2) } else { None };
         let Some(pack) = pack.filter(|_| op.bias == bias.is_some()) else { return Ok(None) };
@@ -73,6 +74,13 @@ pub(super) fn kernel(
         let rois = inputs[1].shape.0[0];
         let regions = roi_align::Regions::new(op.grid(), &inputs[0], rois, op.count);
         return Ok(Some(Box::new(regions)));
+    }
+    if let Some(op) = any.downcast_ref::<TopK>() {
+        return Ok(Some(Box::new(proposals::Highest { op: *op })));
+    }
+    if let Some(op) = any.downcast_ref::<DecodeProposals>() {
+        let columns = inputs[0].shape.0[2];
+        return Ok(Some(Box::new(proposals::Decoded { op: op.clone(), columns })));
     }
     Ok(None)
 }

@@ -5,12 +5,12 @@
 //! Networks", 2016, §4.3): output = Aᵀ [ (G g Gᵀ) ⊙ (Bᵀ d B) ] A, where the elementwise product
 //! over all channels is 36 matrix products.
 
-use std::array::from_fn;
 use std::sync::Arc;
 
 use super::epilogue::{Epilogue, MapShape};
 use super::gemm::{Panels, order, vectorised};
 use super::packs::Pack;
+use super::scratch::Scratch;
 use crate::engine::cores::{each, each_with, threads};
 use crate::engine::ops::Conv2d;
 use crate::engine::ops::winograd::{IN, OUT, POINTS, error_bound, point_weight};
@@ -97,17 +97,20 @@ impl Winograd {
             // Whole rows of tiles, so that each block's outputs are a slice.
             let rows = (BLOCK / tile_columns).max(1);
             let block = rows * tile_columns;
-            let scratch = || (vec![0.0; POINTS * block * in_c], vec![0.0; POINTS * block * out_c]);
+            let scratch = || [in_c, out_c].map(|channels| Scratch::new(POINTS * block * channels));
             each_with(
                 output.chunks_mut(rows * OUT * out_w * out_c).enumerate(),
                 scratch,
-                |(points, sums), (index, output)| {
+                |[points, sums], (index, output)| {
                     let first = index * block;
                     let count = block.min(tiles - first);
                     let points = &mut points[..POINTS * count * in_c];
                     let sums = &mut sums[..POINTS * count * out_c];
                     for (t, tile) in (first..first + count).enumerate() {
-                        vectorised(|| self.transform_input(input, tile, t, count, points));
+                        vectorised(
+                            #[inline(always)]
+                            || self.transform_input(input, tile, t, count, points),
+                        );
                     }
                     for (point, (sums, points)) in sums
                         .chunks_exact_mut(count * out_c)
@@ -118,22 +121,28 @@ impl Winograd {
                     }
                     let above = index * rows * OUT * out_w * out_c;
                     let residual = residual.map(|r| &r[above..above + output.len()]);
-                    vectorised(|| {
-                        self.transform_outputs(sums, count, residual, epilogue, output);
-                    });
+                    vectorised(
+                        #[inline(always)]
+                        || {
+                            self.transform_outputs(sums, count, residual, epilogue, output);
+                        },
+                    );
                 },
             );
             return;
         }
         // [tiles][36, I], so that threads write slices of their own.
-        let mut by_tile = vec![0.0; tiles * POINTS * in_c];
+        let mut by_tile = Scratch::new(tiles * POINTS * in_c);
         each(by_tile.chunks_mut(POINTS * in_c).enumerate(), |(tile, points)| {
-            vectorised(|| self.transform_input(input, tile, 0, 1, points));
+            vectorised(
+                #[inline(always)]
+                || self.transform_input(input, tile, 0, 1, points),
+            );
         });
-        let mut sums = vec![0.0; POINTS * tiles * out_c];
+        let mut sums = Scratch::new(POINTS * tiles * out_c);
         each_with(
             sums.chunks_mut(tiles * out_c).enumerate(),
-            || vec![0.0; tiles * in_c],
+            || Scratch::new(tiles * in_c),
             |points, (point, sums)| {
                 let from = by_tile.chunks_exact(POINTS * in_c);
                 for (to, from) in points.chunks_exact_mut(in_c).zip(from) {
@@ -145,10 +154,13 @@ impl Winograd {
         each(output.chunks_mut(OUT * out_w * out_c).enumerate(), |(row, output)| {
             let above = row * OUT * out_w * out_c;
             let residual = residual.map(|r| &r[above..above + output.len()]);
-            vectorised(|| {
-                let first = row * tile_columns;
-                self.transform_row(&sums, first, tiles, residual, epilogue, output);
-            });
+            vectorised(
+                #[inline(always)]
+                || {
+                    let first = row * tile_columns;
+                    self.transform_row(&sums, first, tiles, residual, epilogue, output);
+                },
+            );
         });
     }
 
@@ -172,16 +184,18 @@ impl Winograd {
         let (top, left) = (tile / columns * OUT, tile % columns * OUT);
         for c in (0..in_c).step_by(LANES) {
             // One row and column of zeros on each side; wraps below zero.
-            let load = |y: usize, x: usize| -> Lanes {
-                let (y, x) = ((top + y).wrapping_sub(1), (left + x).wrapping_sub(1));
-                let mut lanes = [0.0; LANES];
-                if y < in_h && x < in_w {
-                    lanes.copy_from_slice(&input[(y * in_w + x) * in_c + c..][..LANES]);
+            let mut columns = [[[0.0; LANES]; IN]; IN];
+            for (x, column) in columns.iter_mut().enumerate() {
+                for (y, lanes) in column.iter_mut().enumerate() {
+                    let (y, x) = ((top + y).wrapping_sub(1), (left + x).wrapping_sub(1));
+                    if y < in_h && x < in_w {
+                        lanes.copy_from_slice(&input[(y * in_w + x) * in_c + c..][..LANES]);
+                    }
                 }
-                lanes
-            };
-            let columns: [[Lanes; IN]; IN] = from_fn(|x| input_transform(&from_fn(|y| load(y, x))));
-            for (y, row) in rows_of(&columns).enumerate() {
+                *column = input_transform(column);
+            }
+            for y in 0..IN {
+                let row = row_of(&columns, y);
                 for (x, value) in input_transform(&row).iter().enumerate() {
                     let at = ((y * IN + x) * count + to) * in_c + c;
                     points[at..at + LANES].copy_from_slice(value);
@@ -224,15 +238,17 @@ impl Winograd {
         let rows = output.len() / (out_w * out_c);
         for column in 0..self.tiles().1 {
             for o in (0..out_c).step_by(LANES) {
-                let load = |y: usize, x: usize| -> Lanes {
-                    let at = ((y * IN + x) * count + first + column) * out_c + o;
-                    let mut lanes = [0.0; LANES];
-                    lanes.copy_from_slice(&sums[at..at + LANES]);
-                    lanes
-                };
-                let columns: [[Lanes; OUT]; IN] =
-                    from_fn(|x| output_transform(&from_fn(|y| load(y, x))));
-                for (y, row) in rows_of(&columns).enumerate().take(rows) {
+                let mut columns = [[[0.0; LANES]; OUT]; IN];
+                for (x, to) in columns.iter_mut().enumerate() {
+                    let mut points = [[0.0; LANES]; IN];
+                    for (y, lanes) in points.iter_mut().enumerate() {
+                        let at = ((y * IN + x) * count + first + column) * out_c + o;
+                        lanes.copy_from_slice(&sums[at..at + LANES]);
+                    }
+                    *to = output_transform(&points);
+                }
+                for y in 0..rows.min(OUT) {
+                    let row = row_of(&columns, y);
                     let values = output_transform(&row);
                     for (x, value) in values.iter().enumerate().take(out_w - column * OUT) {
                         let at = (y * out_w + column * OUT + x) * out_c + o;
@@ -245,12 +261,15 @@ impl Winograd {
     }
 }
 
-/// The rows of a tile that is given by columns.
+/// A row of a tile that is given by columns. (A loop: closures that `from_fn` calls may stay functions of
+/// their own, which have no wide registers.)
 #[inline(always)]
-fn rows_of<const R: usize, const C: usize>(
-    columns: &[[Lanes; R]; C],
-) -> impl Iterator<Item = [Lanes; C]> {
-    (0..R).map(|y| from_fn(|x| columns[x][y]))
+fn row_of<const R: usize, const C: usize>(columns: &[[Lanes; R]; C], y: usize) -> [Lanes; C] {
+    let mut row = [[0.0; LANES]; C];
+    for (lanes, column) in row.iter_mut().zip(columns) {
+        *lanes = column[y];
+    }
+    row
 }
 
 /// Bᵀ d.

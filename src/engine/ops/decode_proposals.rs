@@ -48,7 +48,7 @@ pub struct DecodeProposals {
 }
 
 impl DecodeProposals {
-    fn grid(&self, width: usize) -> AnchorGrid<'_> {
+    pub(crate) fn grid(&self, width: usize) -> AnchorGrid<'_> {
         AnchorGrid { cell: &self.anchors, stride: self.stride as f32, width }
     }
 }

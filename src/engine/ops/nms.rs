@@ -149,8 +149,7 @@ impl Op for Nms {
             (false, Some(order)) => reference::top_k(&order.f32()?.data()[..n], n),
             (false, None) => reference::top_k(scores, n),
         };
-        let mut keep = reference::nms(&boxes, scores, classes, rule, &order);
-        keep.truncate(self.max_out);
+        let mut keep = reference::nms(&boxes, scores, classes, rule, &order, self.max_out);
         let count = keep.len() as u32;
         keep.resize(specs[0].shape.elements(), 0);
         Ok(vec![

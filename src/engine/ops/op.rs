@@ -279,7 +279,7 @@ pub fn map_dims(op: &str, tensor: &str, spec: &TensorSpec) -> Result<[usize; 3]>
 }
 
 /// One input for one operation.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Case {
     /// What is special about it.
     pub name: String,

@@ -64,7 +64,10 @@ pub fn conv2d(
     each(output.data_mut().chunks_mut(area).enumerate(), |(o, out)| {
         let taps = &weight.data()[o * in_c * kh * kw..][..in_c * kh * kw];
         let first = bias.map_or(0.0, |b| f64::from(b.data()[o]));
-        let sums = shared::vectorised(|| padded.sums(taps, first, [out_h, out_w]));
+        let sums = shared::vectorised(
+            #[inline(always)]
+            || padded.sums(taps, first, [out_h, out_w]),
+        );
         let rest = residual.map(|r| &r.data()[o * area..][..area]);
         for (at, (out, sum)) in out.iter_mut().zip(&sums).enumerate() {
             let value = sum + rest.map_or(0.0, |r| f64::from(r[at]));

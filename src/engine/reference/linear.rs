@@ -17,6 +17,11 @@ pub fn linear(input: &Tensor, weight: &Tensor, bias: &Tensor, rows: usize, relu:
         }
     };
     let rows = output.data_mut().chunks_mut(outputs).zip(input.data().chunks(inner));
-    each(rows, |part| shared::vectorised(|| row(part)));
+    each(rows, |part| {
+        shared::vectorised(
+            #[inline(always)]
+            || row(part),
+        )
+    });
     output
 }

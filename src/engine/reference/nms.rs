@@ -13,17 +13,21 @@ pub struct NmsRule {
     pub min_size: f32,
 }
 
-/// Indices of the boxes that no better box of their class suppresses, best first: `order` names them
-/// all in that order.
+/// Indices of the boxes that no better box of their class suppresses, best first, `most` of them at most:
+/// `order` names all boxes in that order.
 pub fn nms(
     boxes: &[[f32; 4]],
     scores: &[f32],
     classes: Option<&[u32]>,
     rule: NmsRule,
     order: &[u32],
+    most: usize,
 ) -> Vec<u32> {
     let mut keep: Vec<u32> = Vec::new();
     for index in order {
+        if keep.len() == most {
+            break;
+        }
         let i = *index as usize;
         let fits = scores[i] > rule.min_score
             && boxes[i][2] - boxes[i][0] >= rule.min_size

@@ -341,10 +341,8 @@ mod tests {
             min_score: RULE.min_score,
             min_size: RULE.min_size,
         };
-        let mut keep =
-            reference::nms(&boxes, &order, None, rule, &reference::top_k(&order, order.len()));
-        keep.truncate(RULE.max_out);
-        side_of(rows, &keep)
+        let best = reference::top_k(&order, order.len());
+        side_of(rows, &reference::nms(&boxes, &order, None, rule, &best, RULE.max_out))
     }
 
     fn side_of(rows: &[(u32, ([f32; 4], f32))], keep: &[u32]) -> Side {

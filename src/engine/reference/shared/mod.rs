@@ -29,7 +29,8 @@ pub fn dot(a: &[f32], b: &[f32]) -> f64 {
 const LANES: usize = 16;
 
 /// Runs `work` compiled for the widest registers that this CPU has, or without the feature `cpu` for
-/// those that all its kind have. Every operation rounds as it does elsewhere.
+/// those that all its kind have. Every operation rounds as it does elsewhere. A closure needs
+/// `#[inline(always)]`: one that stays a function of its own is compiled for what all have.
 #[inline]
 pub fn vectorised<R>(work: impl FnOnce() -> R) -> R {
     #[cfg(feature = "cpu")]

@@ -61,15 +61,19 @@ impl Slot {
     pub(super) fn encode(&self, staging: &wgpu::Buffer) -> wgpu::CommandBuffer {
         let program = &self.program;
         let mut encoder = program.gpu.device.handle.create_command_encoder(&Default::default());
-        // What is timed for itself.
-        let timed: Vec<Range<usize>> = match program.options.profile {
-            _ if self.timestamps.is_none() => vec![0..program.steps.len()],
-            Profile::Off => vec![0..program.steps.len()],
-            Profile::Stages => program.stages.iter().map(|(_, range)| range.clone()).collect(),
-            Profile::Commands => (0..program.steps.len()).map(|at| at..at + 1).collect(),
-        };
-        for (index, steps) in timed.into_iter().enumerate() {
-            self.encode_timed(&mut encoder, index as u32, steps);
+        let all = program.steps.len();
+        match program.options.profile {
+            Profile::Stages if self.timestamps.is_some() => {
+                for (index, (_, steps)) in program.stages.iter().enumerate() {
+                    self.encode_timed(&mut encoder, index as u32, steps.clone());
+                }
+            }
+            Profile::Commands if self.timestamps.is_some() => {
+                for at in 0..all {
+                    self.encode_timed(&mut encoder, at as u32, at..at + 1);
+                }
+            }
+            _ => self.encode_timed(&mut encoder, 0, 0..all),
         }
         self.read_back(&mut encoder, staging);
         encoder.finish()

@@ -3,6 +3,7 @@
 //! Tests run these, and so may anyone who replaces a shader or brings a new driver: [`rows`] is what
 //! `smr-gpu check` prints and what the tests of operations assert.
 
+#[cfg(feature = "cpu")]
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;

@@ -30,6 +30,12 @@ export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER="qemu-aarch64 -L $system"
 # The host's own programs, such as build scripts, are built by the same rustc.
 packaging/package.sh "$target"
 
+# The program looks for drivers in a process of its own, which the kernel must know to run by qemu.
+if [ ! -e /proc/sys/fs/binfmt_misc/qemu-aarch64 ]; then
+    echo "packed, not tried: apt-get install qemu-user-binfmt, and mount -t binfmt_misc none /proc/sys/fs/binfmt_misc"
+    exit 1
+fi
+export QEMU_LD_PREFIX=$system
 smr_gpu() {
     VK_ICD_FILENAMES=$system/usr/share/vulkan/icd.d/lvp_icd.aarch64.json \
         qemu-aarch64 -L "$system" target/packages/smr-gpu-*-$target/bin/smr-gpu "$@"

@@ -192,17 +192,10 @@ impl Convolution {
 fn channels_last(weight: &Tensor, pairs: bool) -> Vec<f32> {
     let [out_c, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
     let taps = kh * kw;
-    let of = |o: usize, k: usize| {
+    Panels::packed((out_c, in_c * taps), pairs, |o, k| {
         let (tap, i) = (k / in_c, k % in_c);
         weight.data()[(o * in_c + i) * taps + tap]
-    };
-    let words = if pairs { in_c * taps / 2 } else { in_c * taps };
-    let mut packed = vec![0.0; out_c * words];
-    match pairs {
-        false => Panels::fill(&mut packed, words, of),
-        true => Panels::fill_pairs(&mut packed, words, of),
-    }
-    packed
+    })
 }
 
 impl Kernel for Convolution {

@@ -53,6 +53,21 @@ impl<'a> Panels<'a> {
         Self { pairs: true, ..Self::of(weights, outputs, inner) }
     }
 
+    /// `weight(o, k)` packed for `inner` inputs, which are even in number where they are taken in [`pairs`].
+    pub fn packed(
+        (outputs, inner): (usize, usize),
+        pairs: bool,
+        weight: impl Fn(usize, usize) -> f32,
+    ) -> Vec<f32> {
+        let words = if pairs { inner / 2 } else { inner };
+        let mut packed = vec![0.0; outputs * words];
+        match pairs {
+            false => Self::fill(&mut packed, words, weight),
+            true => Self::fill_pairs(&mut packed, words, weight),
+        }
+        packed
+    }
+
     /// Packs `weight(o, k)` for twice `inner` inputs, in bf16.
     pub fn fill_pairs(packed: &mut [f32], inner: usize, weight: impl Fn(usize, usize) -> f32) {
         Self::fill(packed, inner, |o, k| pair(weight(o, 2 * k), weight(o, 2 * k + 1)));

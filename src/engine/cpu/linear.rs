@@ -45,17 +45,10 @@ impl FullyConnected {
         };
         let pairs = pack.pairs && inner.is_multiple_of(2);
         let channels_last = |weight: &Tensor| {
-            let of = |o: usize, k: usize| {
+            Panels::packed((outputs, inner), pairs, |o, k| {
                 let (pixel, channel) = (k / channels, k % channels);
                 weight.data()[o * inner + channel * pixels + pixel]
-            };
-            let words = if pairs { inner / 2 } else { inner };
-            let mut packed = vec![0.0; outputs * words];
-            match pairs {
-                false => Panels::fill(&mut packed, words, of),
-                true => Panels::fill_pairs(&mut packed, words, of),
-            }
-            packed
+            })
         };
         let weight = pack.get(if pairs { "linear in bf16" } else { "linear" }, channels_last)?;
         let rows = rows(&input.shape);

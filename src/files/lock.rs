@@ -10,11 +10,24 @@ use super::{open, write};
 /// Longest lock in bytes: a process's number.
 const LONGEST: u64 = 16;
 
+/// A lock that is held until this is dropped.
+#[derive(Debug)]
+pub struct Held(File);
+
+impl Drop for Held {
+    /// Closing is not enough: a process that is being started has this one's files too, until it is a program of
+    /// its own.
+    fn drop(&mut self) {
+        // Where that fails the lock ends with the file.
+        let _ = self.0.unlock();
+    }
+}
+
 /// Whether a lock was to be had.
 #[derive(Debug)]
 pub enum Lock {
-    /// It is held until the file is dropped.
-    Held(File),
+    /// It is.
+    Held(Held),
     /// Another holds it: the process, if that can be told, which it cannot of several.
     Busy(Option<u32>),
 }
@@ -74,7 +87,7 @@ pub fn lock(path: &Path, sharing: Sharing) -> Result<Lock, Error> {
         }
         let earlier = match (earlier, sharing) {
             // Others hold it by the name that it has.
-            (Some(earlier), Sharing::WithOthers) => return Ok(Lock::Held(earlier)),
+            (Some(earlier), Sharing::WithOthers) => return Ok(Lock::Held(Held(earlier))),
             (earlier, _) => earlier,
         };
         // Locked before it has its name: nobody can come between.
@@ -95,7 +108,7 @@ pub fn lock(path: &Path, sharing: Sharing) -> Result<Lock, Error> {
             None => own.persist_noclobber(path),
         };
         match named {
-            Ok(file) => return Ok(Lock::Held(file)),
+            Ok(file) => return Ok(Lock::Held(Held(file))),
             // Another was faster, and swept away what was unfinished.
             Err(e) if matches!(e.error.kind(), ErrorKind::AlreadyExists | ErrorKind::NotFound) => {}
             Err(e) => return Err(failed(e.error)),
@@ -109,9 +122,9 @@ mod tests {
 
     use super::*;
 
-    fn held(path: &Path, sharing: Sharing) -> File {
+    fn held(path: &Path, sharing: Sharing) -> Held {
         match lock(path, sharing).expect("a lock") {
-            Lock::Held(file) => file,
+            Lock::Held(held) => held,
             busy @ Lock::Busy(_) => panic!("{busy:?}"),
         }
     }

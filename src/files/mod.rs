@@ -14,7 +14,7 @@ mod shard;
 mod write;
 
 #[cfg(feature = "simulator")]
-pub use lock::{Lock, Sharing, lock};
+pub use lock::{Held, Lock, Sharing, lock};
 #[cfg(feature = "picture")]
 pub use read::open_or_pipe;
 pub use read::{open, read, read_open, text};

@@ -180,7 +180,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         .map_err(|e| Failure::new(Exit::Output, format!("{}: {e}", shown(work.as_os_str()))))?;
     let python = Python::new(&args.python, &work)?;
     let _lock = match lock(&work.join(".teach.lock"), Sharing::Alone)? {
-        Lock::Held(file) => file,
+        Lock::Held(held) => held,
         Lock::Busy(_) => {
             let work = shown(work.as_os_str());
             return Err(Failure::new(Exit::Output, format!("{work}: another run works there")));

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 use std::ffi::OsStr;
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, ErrorKind};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -29,14 +29,14 @@ struct AnyLabel {
     scene_seed: u64,
 }
 
-/// Takes the folder for this process, a shard with others, until the file is dropped.
-pub(super) fn lock(settings: &Settings) -> Result<File, Error> {
+/// Takes the folder for this process, a shard with others.
+pub(super) fn lock(settings: &Settings) -> Result<files::Held, Error> {
     let sharing = match settings.shard {
         None => Sharing::Alone,
         Some(_) => Sharing::WithOthers,
     };
     match files::lock(&settings.out.join(LOCK), sharing)? {
-        files::Lock::Held(file) => Ok(file),
+        files::Lock::Held(held) => Ok(held),
         files::Lock::Busy(holder) => Err(Error::Busy { path: settings.out.clone(), holder }),
     }
 }

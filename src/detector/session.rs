@@ -82,15 +82,18 @@ impl Session {
             (None, Precision::F16) => {
                 remarks.push(format!("f16 is for GPUs: {adapter} computes as ever"));
             }
-            (Some(_), Precision::Bf16) => {
-                remarks.push(format!("bf16 is for cores: {adapter} computes in f32"));
+            (Some(_), asked @ (Precision::Bf16 | Precision::Int8)) => {
+                remarks.push(format!("{asked} is for cores: {adapter} computes in f32"));
             }
-            (None, Precision::Bf16)
-                if config.device == Device::Reference
-                    || on_cores(Precision::Bf16) == Precision::F32 =>
+            (None, asked @ (Precision::Bf16 | Precision::Int8))
+                if config.device == Device::Reference || on_cores(asked) != asked =>
             {
+                let wanted = match asked {
+                    Precision::Bf16 => "AVX-512 BF16",
+                    _ => "AVX-512 VNNI or AVX-VNNI",
+                };
                 remarks.push(format!(
-                    "bf16 is for cores with AVX-512 BF16: {adapter} computes as ever"
+                    "{asked} is for cores with {wanted}: {adapter} computes as ever"
                 ));
             }
             _ => {}
@@ -192,8 +195,8 @@ impl Session {
 /// What cores multiply where this precision is asked for.
 fn on_cores(asked: Precision) -> Precision {
     #[cfg(feature = "cpu")]
-    if asked == Precision::Bf16 && crate::engine::cpu::multiplies_bf16() {
-        return Precision::Bf16;
+    if crate::engine::cpu::multiplies(asked) {
+        return asked;
     }
     let _ = asked;
     Precision::F32

@@ -22,6 +22,9 @@ pub enum Precision {
     F16,
     /// The upper half of an f32: 8 bits of significand. For cores that multiply it, AVX-512's; maps stay in f32.
     Bf16,
+    /// Integers of 8 bits, by scales: of each output's weights, each row of a layer's input, each map that a
+    /// convolution reads. For cores that multiply them: AVX-512 VNNI and AVX-VNNI; maps stay in f32.
+    Int8,
 }
 
 /// Largest relative error of rounding to f16: half the distance from 1 to the next one.
@@ -35,7 +38,7 @@ impl Precision {
     /// Bytes of four numbers.
     pub(crate) fn texel_bytes(self) -> u32 {
         match self {
-            Self::F32 | Self::Bf16 => 16,
+            Self::F32 | Self::Bf16 | Self::Int8 => 16,
             Self::F16 => 8,
         }
     }
@@ -48,7 +51,7 @@ impl Precision {
     /// The bytes in which the numbers are stored.
     pub(crate) fn encode(self, numbers: &[f32]) -> Vec<u8> {
         match self {
-            Self::F32 | Self::Bf16 => bytemuck::cast_slice(numbers).to_vec(),
+            Self::F32 | Self::Bf16 | Self::Int8 => bytemuck::cast_slice(numbers).to_vec(),
             Self::F16 => {
                 let halves: Vec<u16> =
                     numbers.iter().map(|x| half::f16::from_f32(*x).to_bits()).collect();
@@ -60,7 +63,7 @@ impl Precision {
     /// The numbers that are stored so.
     pub(crate) fn decode(self, bytes: &[u8]) -> Vec<f32> {
         match self {
-            Self::F32 | Self::Bf16 => bytemuck::pod_collect_to_vec(bytes),
+            Self::F32 | Self::Bf16 | Self::Int8 => bytemuck::pod_collect_to_vec(bytes),
             Self::F16 => {
                 let halves: Vec<u16> = bytemuck::pod_collect_to_vec(bytes);
                 halves.into_iter().map(|x| half::f16::from_bits(x).to_f32()).collect()
@@ -71,7 +74,8 @@ impl Precision {
     /// The nearest numbers that every driver stores as they are: none is subnormal.
     pub(crate) fn rounded(self, tensor: &Tensor) -> Tensor {
         let round = |x: f32| match self {
-            Self::F32 => x,
+            // What a number of 8 bits stands for depends on the others: the cores' own module rounds to them.
+            Self::F32 | Self::Int8 => x,
             Self::F16 if f64::from(x.abs()) < HALF_MIN => 0.0f32.copysign(x),
             Self::F16 => half::f16::from_f32(x).to_f32(),
             // Instructions take what is subnormal for zero.
@@ -87,7 +91,7 @@ impl Precision {
     pub(crate) fn stored_error(self, value: f64, error: f64) -> f64 {
         let most = value.abs() + error;
         match self {
-            Self::F32 | Self::Bf16 => error,
+            Self::F32 | Self::Bf16 | Self::Int8 => error,
             // Not `most < HALF_OVERFLOW`: of a NaN nothing is known.
             Self::F16 if most >= HALF_OVERFLOW || most.is_nan() => f64::INFINITY,
             Self::F16 if value.abs() - error >= HALF_MIN => error + HALF_EPS * most,
@@ -147,6 +151,7 @@ impl fmt::Display for Precision {
             Self::F32 => "f32",
             Self::F16 => "f16",
             Self::Bf16 => "bf16",
+            Self::Int8 => "int8",
         })
     }
 }
@@ -154,14 +159,15 @@ impl fmt::Display for Precision {
 impl FromStr for Precision {
     type Err = Error;
 
-    /// `f32`, `f16` or `bf16`.
+    /// `f32`, `f16`, `bf16` or `int8`.
     fn from_str(text: &str) -> Result<Self> {
         match text {
             "f32" => Ok(Self::F32),
             "f16" => Ok(Self::F16),
             "bf16" => Ok(Self::Bf16),
+            "int8" => Ok(Self::Int8),
             other => {
-                let expected = "`f32`, `f16` or `bf16`";
+                let expected = "`f32`, `f16`, `bf16` or `int8`";
                 Err(Error::param("detect", "precision", expected, format!("`{other}`")))
             }
         }

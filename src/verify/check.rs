@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 #[cfg(feature = "cpu")]
-use crate::engine::cpu::{CpuPlan, multiplies_bf16};
+use crate::engine::cpu::{CpuPlan, in_8_bits, multiplies};
 use crate::engine::gpu::{Deadline, Gpu, Poison, Profile, Program, ProgramOptions, Slot};
 use crate::engine::graph::{Graph, TensorId};
 use crate::engine::kernels::{self, Kernel, Layout, Work};
@@ -27,7 +27,7 @@ use crate::error::{Error, Result};
 pub enum Target {
     /// Each kernel that fits on a device.
     Gpu(Arc<Gpu>),
-    /// This machine's CPU, in f32 and, where it has it, bf16; as a kernel it is called [`CPU`].
+    /// This machine's CPU, in f32 and, where it has them, bf16 and int8; as a kernel it is called [`CPU`].
     #[cfg(feature = "cpu")]
     Cpu,
 }
@@ -214,7 +214,7 @@ async fn outcomes(target: &Target, case: &Case, selection: &Selection) -> Result
         Target::Cpu if !wanted(CPU) => {}
         #[cfg(feature = "cpu")]
         Target::Cpu => {
-            for precision in [Precision::F32, Precision::Bf16] {
+            for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
                 let Some(case) = on_cores(case, precision).filter(|_| stored(precision)) else {
                     continue;
                 };
@@ -308,10 +308,53 @@ fn on_cores(case: &Case, precision: Precision) -> Option<Cow<'_, Case>> {
     if precision == Precision::F32 {
         return Some(Cow::Borrowed(case));
     }
-    let products = ["conv2d", "linear"].contains(&case.op.name()) && multiplies_bf16();
-    let factors =
-        case.op.inputs().iter().map(|name| ["input", "weight"].contains(name)).collect::<Vec<_>>();
-    if products { rounded(case, &factors, precision).map(Cow::Owned) } else { None }
+    if !["conv2d", "linear"].contains(&case.op.name()) || !multiplies(precision) {
+        return None;
+    }
+    let factor = |name: &str| ["input", "weight"].contains(&name);
+    let factors = case.op.inputs().iter().map(|name| factor(name)).collect::<Vec<_>>();
+    let rounded = match precision {
+        Precision::Int8 => case_in_8_bits(case, factor)?,
+        _ => rounded(case, &factors, precision)?,
+    };
+    Some(Cow::Owned(rounded))
+}
+
+/// The same in 8 bits, by the scales of each output's weights, and of each row of a layer's input or the whole map
+/// of a convolution's.
+#[cfg(feature = "cpu")]
+fn case_in_8_bits(case: &Case, factor: impl Fn(&str) -> bool) -> Option<Case> {
+    let mut inputs = Vec::with_capacity(case.inputs.len());
+    for (input, name) in case.inputs.iter().zip(case.op.inputs()) {
+        inputs.push(match input {
+            Value::F32(tensor) if factor(name) => {
+                let groups = match (name, case.op.name()) {
+                    ("input", "conv2d") => 1,
+                    ("input", _) => crate::engine::ops::linear::rows(tensor.shape()),
+                    _ => tensor.dims()[0],
+                };
+                let group = tensor.data().len() / groups.max(1);
+                let rounded = in_8_bits(tensor, group, name == "weight")?;
+                // Where none that is left is negative, the scale is another.
+                in_8_bits(&rounded, group, name == "weight")?.into()
+            }
+            other => other.clone(),
+        });
+    }
+    Some(of_rounded(case, inputs, Precision::Int8))
+}
+
+/// The case with inputs that were rounded to a precision.
+fn of_rounded(case: &Case, inputs: Vec<Value>, precision: Precision) -> Case {
+    let same = inputs == case.inputs;
+    Case {
+        name: format!("{} in {precision}", case.name),
+        op: case.op.clone(),
+        inputs,
+        by_hand: case.by_hand.clone().filter(|_| same),
+        exact: case.exact,
+        network: case.network,
+    }
 }
 
 /// Runs a case by the kernels of this machine's cores and holds it to its reference; `None` if they multiply
@@ -387,15 +430,7 @@ fn rounded(case: &Case, stored: &[bool], precision: Precision) -> Option<Case> {
             other => other.clone(),
         });
     }
-    let same = inputs == case.inputs;
-    Some(Case {
-        name: format!("{} in {precision}", case.name),
-        op: case.op.clone(),
-        inputs,
-        by_hand: case.by_hand.clone().filter(|_| same),
-        exact: case.exact,
-        network: case.network,
-    })
+    Some(of_rounded(case, inputs, precision))
 }
 
 /// [`check`] of one kernel in one precision; `None` if that stores nothing in f16.

@@ -162,7 +162,8 @@ typedef struct {
 extern "C" {
 #endif // __cplusplus
 
-// Options that are what the program does unasked: small network, any device, no sensor.
+// Options that are what the program does unasked, but with the small network, which is in the library: any device,
+// no sensor.
 SmrOptions smr_options_default(void);
 
 // Opens a detector, which takes up to some seconds, and writes it to `detector`; null if it fails.

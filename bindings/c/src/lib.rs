@@ -259,7 +259,8 @@ fn null(name: &str) -> Failure {
     Failure::argument(format!("{name}: expected a pointer, got null"))
 }
 
-/// Options that are what the program does unasked: small network, any device, no sensor.
+/// Options that are what the program does unasked, but with the small network, which is in the library: any device,
+/// no sensor.
 #[unsafe(no_mangle)]
 pub extern "C" fn smr_options_default() -> SmrOptions {
     SmrOptions {

@@ -50,7 +50,7 @@ def test_a_sensor_file(mixed, tmp_path):
         ({"device": "no such adapter"}, errors.NoAdapterError, "no GPU adapter for `no such adapter`"),
         ({"device": "-1"}, errors.ParamError, "parameter `device`: expected `auto`, `gpu`, `cpu`"),
         ({"sensor": "nobody"}, errors.ParamError, "expected paper, gelsight-mini, digit, plain or a file, got `nobody`"),
-        ({"precision": "f8"}, errors.ParamError, "parameter `precision`: expected `f32`, `f16` or `bf16`, got `f8`"),
+        ({"precision": "f8"}, errors.ParamError, "parameter `precision`: expected `f32`, `f16`, `bf16` or `int8`, got `f8`"),
         ({"classes": ["C"]}, errors.ParamError, "parameter `classes`: expected A, B, got `C`"),
         ({"score": 1.5}, errors.ParamError, "parameter `score`: expected a number from 0 to 1, got 1.5"),
         ({"iou": float("nan")}, errors.ParamError, "parameter `iou`: expected a number from 0 to 1, got NaN"),

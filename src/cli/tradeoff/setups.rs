@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use smr_gpu::engine::cpu::multiplies_bf16;
+use smr_gpu::engine::cpu::multiplies;
 use smr_gpu::engine::gpu::Gpu;
 use smr_gpu::engine::lower::KernelChoice;
 use smr_gpu::engine::tuned::Place;
@@ -27,6 +27,8 @@ const SAVINGS: [&[Saving]; 3] = [
 pub(super) const BATCH: usize = 4;
 /// Combinations that are measured at most.
 const MOST_COMBINED: usize = 16;
+/// What cores multiply beside f32.
+const NARROW: [Precision; 2] = [Precision::Bf16, Precision::Int8];
 /// This machine's cores, as `--device` takes them.
 const CPU: &str = "cpu";
 
@@ -93,13 +95,10 @@ impl Plan {
             let all = networks.iter().cloned();
             single.extend(all.map(|s| Setup { device: CPU.into(), ..s }));
         }
-        if multiplies_bf16() {
+        for precision in NARROW.into_iter().filter(|precision| multiplies(*precision)) {
             let on_cores = networks.iter().filter(|s| s.size.is_none() && s.leave_out.is_empty());
-            single.extend(on_cores.map(|s| Setup {
-                device: CPU.into(),
-                precision: Precision::Bf16,
-                ..s.clone()
-            }));
+            let setup = |s: &Setup| Setup { device: CPU.into(), precision, ..s.clone() };
+            single.extend(on_cores.map(setup));
         }
         let place = gpu.map(|(gpu, _)| Place::of(gpu));
         let weights = weights.iter().map(|(w, _, digest)| (w.clone(), digest.clone())).collect();
@@ -126,7 +125,8 @@ impl Plan {
                     let gpu = c.device != CPU;
                     let kernels = if gpu { c.kernels.clone() } else { Vec::new() };
                     let precision = match (gpu, c.precision) {
-                        (true, Precision::Bf16) | (false, Precision::F16) => Precision::F32,
+                        (true, precision) if NARROW.contains(&precision) => Precision::F32,
+                        (false, Precision::F16) => Precision::F32,
                         (_, precision) => precision,
                     };
                     let (weights, device) = (a.weights.clone(), c.device.clone());
@@ -245,12 +245,12 @@ mod tests {
         let weights = ["large", "small"]
             .map(|w| (w.to_owned(), WeightSource::File("gone".into()), String::new()));
         let sizes = [160, 192, 224, 256, 288, 384];
-        // Both networks in bf16 besides, where these cores have it.
-        let brain = if multiplies_bf16() { 2 } else { 0 };
+        // Both networks besides in each precision that these cores have.
+        let narrow = 2 * NARROW.into_iter().filter(|precision| multiplies(*precision)).count();
         // Three pictures are no four at a time.
-        assert_eq!(Plan::new(&weights, &sizes, None, 3).single.len(), 14 + brain);
+        assert_eq!(Plan::new(&weights, &sizes, None, 3).single.len(), 14 + narrow);
         let plan = Plan::new(&weights, &sizes, None, 4);
-        assert_eq!(plan.single.len(), 15 + brain);
+        assert_eq!(plan.single.len(), 15 + narrow);
         assert!(plan.single.iter().all(|s| s.device == "cpu" && s.kernels.is_empty()));
         let time = |s: &Setup| match s.weights == "small" {
             true => 1.0,

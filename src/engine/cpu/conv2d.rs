@@ -4,11 +4,13 @@
 use std::sync::Arc;
 
 use super::epilogue::{Epilogue, MapShape};
-use super::gemm::{Panels, Part, order, order_of_pairs, pairs, vectorised};
+use super::gemm::{Inputs, Panels, Part, order_of, vectorised};
 use super::kernel::{Data, Kernel};
 use super::packs::Pack;
 use super::scratch::Scratch;
+use super::tiles::Rows;
 use super::winograd::Winograd;
+use super::words::{self, Numbers};
 use crate::engine::cores::{each, each_with};
 use crate::engine::ops::Conv2d;
 use crate::engine::ops::bounds::magnitude;
@@ -22,8 +24,6 @@ use crate::error::Result;
 const TILE: usize = 128 * 1024;
 /// Pieces at least in which the pixels are shared, so that threads end together.
 const PIECES: usize = 16;
-/// Output pixels from which threads share the pixels; below it they share the channels.
-const MANY_PIXELS: usize = 512;
 
 /// A convolution with its weights packed.
 #[derive(Debug)]
@@ -38,9 +38,17 @@ pub(super) struct Convolution {
 enum Algorithm {
     /// Weights in [`Panels`], their inputs in the order `[kh, kw, I]`.
     Im2col(Arc<Vec<f32>>),
-    /// The same in pairs of bf16.
-    Pairs(Arc<Vec<f32>>),
+    /// The same, with their inputs where they lie: in a map that is rounded and has zeros round it.
+    Direct(Numbers, Arc<Vec<f32>>),
     Winograd(Winograd),
+}
+
+/// Where the inputs of each output pixel are.
+#[derive(Clone, Copy)]
+enum Source<'a> {
+    Rows(Inputs<'a>),
+    /// In a map, from which they are gathered.
+    Map(&'a [f32]),
 }
 
 impl Convolution {
@@ -61,12 +69,15 @@ impl Convolution {
         let shape = MapShape { in_c, in_h, in_w, out_c, out_h, out_w, kh, kw };
         let bias = bias.map_or_else(|| vec![0.0; out_c], |b| b.data().to_vec());
         // Winograd's quarter of the products in f32 takes no longer than all in bf16.
-        let algorithm = if Winograd::fits(&op, &shape) && !pack.all.lean {
+        let numbers = pack.numbers_of(out_c, shape.padded_terms(Numbers::Int8), kh * kw > 1);
+        let all = numbers == Some(Numbers::Int8);
+        let packed = |numbers| pack.get("im2col", numbers, |w| channels_last(w, numbers));
+        let algorithm = if Winograd::fits(&op, &shape) && !pack.all.lean && !all {
             Algorithm::Winograd(Winograd::new(shape, pack)?)
-        } else if pack.pairs && in_c.is_multiple_of(2) {
-            Algorithm::Pairs(pack.get("im2col in bf16", |w| channels_last(w, true))?)
+        } else if let Some(direct) = numbers {
+            Algorithm::Direct(direct, packed(numbers)?)
         } else {
-            Algorithm::Im2col(pack.get("im2col", |w| channels_last(w, false))?)
+            Algorithm::Im2col(packed(None)?)
         };
         Ok(Self { op, shape, algorithm, epilogue: Epilogue { bias, relu: op.relu } })
     }
@@ -77,63 +88,67 @@ impl Convolution {
         self.shape.kh * self.shape.kw == 1 && stride == 1 && padding == 0
     }
 
-    /// `input` and `weight` are numbers, or pairs of them as `shape` says.
-    fn im2col(
+    /// Multiplies the rows of all pixels, which lie in memory or are gathered from the map.
+    fn multiply(
         &self,
-        shape: MapShape,
         weight: Panels,
-        input: &[f32],
+        source: Source,
         residual: Option<&[f32]>,
         output: &mut [f32],
     ) {
-        let MapShape { out_c, .. } = shape;
-        let (pixels, terms) = (shape.pixels(), shape.terms());
+        let out_c = self.shape.out_c;
+        let (pixels, terms) = (self.shape.pixels(), self.shape.terms());
         let residual = |first: usize, count: usize| {
             residual.map(|r| &r[first * out_c..(first + count) * out_c])
         };
-        if pixels >= MANY_PIXELS {
-            let tile = (TILE / terms).min(pixels / PIECES).clamp(16, 512);
-            let scratch = || [terms, out_c].map(|width| Scratch::new(tile * width));
+        // Where there are fewer pixels than weights to each of their inputs, threads share the weights.
+        if pixels >= out_c {
+            let tile = (TILE / terms).min(pixels / PIECES).clamp(16, 512).next_multiple_of(12);
+            let gathered = if matches!(source, Source::Map(_)) { tile * terms } else { 0 };
+            let stride = weight.stride();
+            let scratch = || [gathered, tile * stride].map(Scratch::new);
             each_with(
                 output.chunks_mut(tile * out_c).enumerate(),
                 scratch,
                 |[columns, sums], (index, output)| {
                     let (first, count) = (index * tile, output.len() / out_c);
-                    let rows = if self.is_pointwise() {
-                        &input[first * terms..(first + count) * terms]
-                    } else {
-                        self.gather(shape, input, first, &mut columns[..count * terms]);
-                        &columns[..count * terms]
-                    };
-                    weight.multiply(sums, rows, count);
+                    match source {
+                        Source::Rows(rows) => weight.multiply(sums, &rows, first, count),
+                        Source::Map(input) => {
+                            self.gather(input, first, &mut columns[..count * terms]);
+                            weight.multiply(sums, &Inputs::floats(columns, terms), 0, count);
+                        }
+                    }
                     vectorised(
                         #[inline(always)]
                         || {
-                            self.epilogue_of(output, sums, 0, out_c, residual(first, count));
+                            let residual = residual(first, count);
+                            self.epilogue_of(output, (sums, stride), 0, out_c, residual);
                         },
                     );
                 },
             );
             return;
         }
-        let columns = if self.is_pointwise() {
-            Scratch::new(0)
-        } else {
-            let mut columns = Scratch::new(pixels * terms);
-            let tile = pixels.div_ceil(PIECES).max(1);
-            let parts = columns.chunks_mut(tile * terms).enumerate();
-            each(parts, |(i, part)| self.gather(shape, input, i * tile, part));
-            columns
+        let mut columns;
+        let rows = match source {
+            Source::Rows(rows) => rows,
+            Source::Map(input) => {
+                columns = Scratch::new(pixels * terms);
+                let tile = pixels.div_ceil(PIECES).max(1);
+                let parts = columns.chunks_mut(tile * terms).enumerate();
+                each(parts, |(i, part)| self.gather(input, i * tile, part));
+                Inputs::floats(&columns, terms)
+            }
         };
-        let rows = if self.is_pointwise() { input } else { &columns };
-        let parts = weight.shared(rows, pixels);
+        let parts = weight.shared(&rows, pixels);
         vectorised(
             #[inline(always)]
             || {
-                for Part { first, outputs, rows, sums } in &parts {
+                for Part { first, outputs, stride, rows, sums } in &parts {
                     let output = &mut output[rows.start * out_c..rows.end * out_c];
                     let residual = residual(rows.start, rows.len());
-                    self.epilogue_of(output, sums, *first, *outputs, residual);
+                    self.epilogue_of(output, (sums, *stride), *first, *outputs, residual);
                 }
             },
         );
@@ -144,24 +159,57 @@ impl Convolution {
     fn epilogue_of(
         &self,
         output: &mut [f32],
-        sums: &[f32],
+        (sums, stride): (&[f32], usize),
         first: usize,
         count: usize,
         residual: Option<&[f32]>,
     ) {
         let out_c = self.shape.out_c;
-        for (pixel, sums) in sums.chunks_exact(count).enumerate().take(output.len() / out_c) {
+        for (pixel, sums) in sums.chunks_exact(stride).enumerate().take(output.len() / out_c) {
             let at = pixel * out_c + first;
             let residual = residual.map(|r| &r[at..at + count]);
             self.epilogue.apply(&mut output[at..at + count], sums, first, residual);
         }
     }
 
-    /// The inputs of each output pixel from `first` side by side, `[pixels][kh, kw, I]`.
-    fn gather(&self, shape: MapShape, input: &[f32], first: usize, columns: &mut [f32]) {
-        let MapShape { in_c, in_h, in_w, out_w, kh, kw, .. } = shape;
+    /// Rounds the map, and multiplies its rows where they lie.
+    fn direct(
+        &self,
+        numbers: Numbers,
+        weight: &[f32],
+        input: &[f32],
+        residual: Option<&[f32]>,
+        output: &mut [f32],
+    ) {
+        let MapShape { in_c, in_h, in_w, out_c, out_w, kh, kw, .. } = self.shape;
         let Conv2d { stride, padding, dilation, .. } = self.op;
-        for (i, column) in columns.chunks_exact_mut(shape.terms()).enumerate() {
+        let rounded = words::map(numbers, input, [in_h, in_w, in_c], padding);
+        let pixel = in_c.div_ceil(numbers.a_word());
+        let line = (in_w + 2 * padding) * pixel;
+        // The taps of a row are one piece where they are side by side.
+        let (taps, length) = if dilation == 1 { (1, kw * pixel) } else { (kw, pixel) };
+        let pieces: Vec<usize> = (0..kh)
+            .flat_map(|ky| (0..taps).map(move |kx| dilation * (ky * line + kx * pixel)))
+            .collect();
+        let rows = Rows {
+            words: &rounded.words,
+            line: out_w,
+            pitch: stride * pixel,
+            line_pitch: stride * line,
+            pieces: &pieces,
+            length,
+        };
+        let inputs = Inputs { rows, scales: &rounded.scales };
+        let inner = self.shape.padded_terms(numbers);
+        let weight = Panels::of(weight, (out_c, inner), Some(numbers));
+        self.multiply(weight, Source::Rows(inputs), residual, output);
+    }
+
+    /// The inputs of each output pixel from `first` side by side, `[pixels][kh, kw, I]`.
+    fn gather(&self, input: &[f32], first: usize, columns: &mut [f32]) {
+        let MapShape { in_c, in_h, in_w, out_w, kh, kw, .. } = self.shape;
+        let Conv2d { stride, padding, dilation, .. } = self.op;
+        for (i, column) in columns.chunks_exact_mut(self.shape.terms()).enumerate() {
             let (oy, ox) = ((first + i) / out_w, (first + i) % out_w);
             for (ky, row) in column.chunks_exact_mut(kw * in_c).enumerate() {
                 // Wraps below zero to a large number, so that one comparison finds both sides.
@@ -188,13 +236,13 @@ impl Convolution {
     }
 }
 
-/// Packs `[O, I, kh, kw]`, with the inputs of an output in the order `[kh, kw, I]`, or pairs of them.
-fn channels_last(weight: &Tensor, pairs: bool) -> Vec<f32> {
+/// Packs `[O, I, kh, kw]`, with the inputs of an output in the order `[kh, kw, I]`, those of a tap in whole words.
+fn channels_last(weight: &Tensor, numbers: Option<Numbers>) -> Vec<f32> {
     let [out_c, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
-    let taps = kh * kw;
-    Panels::packed((out_c, in_c * taps), pairs, |o, k| {
-        let (tap, i) = (k / in_c, k % in_c);
-        weight.data()[(o * in_c + i) * taps + tap]
+    let (taps, padded) = (kh * kw, in_c.next_multiple_of(numbers.map_or(1, Numbers::a_word)));
+    Panels::packed((out_c, padded * taps), numbers, |o, k| {
+        let (tap, i) = (k / padded, k % padded);
+        if i < in_c { weight.data()[(o * in_c + i) * taps + tap] } else { 0.0 }
     })
 }
 
@@ -205,8 +253,8 @@ impl Kernel for Convolution {
 
     fn precision(&self) -> Precision {
         match self.algorithm {
-            Algorithm::Pairs(_) => Precision::Bf16,
-            _ => Precision::F32,
+            Algorithm::Direct(numbers, _) => numbers.precision(),
+            Algorithm::Im2col(_) | Algorithm::Winograd(_) => Precision::F32,
         }
     }
 
@@ -219,11 +267,12 @@ impl Kernel for Convolution {
             return Ok(Some(kernel.tolerance(&input, bias, residual)));
         }
         let sums = reference::conv2d(&input, &weight, bias, residual, self.op.shape(), false);
-        let order = match self.algorithm {
-            Algorithm::Pairs(_) => order_of_pairs(self.shape.terms()),
-            _ => order(self.shape.terms()),
+        let numbers = match self.algorithm {
+            Algorithm::Direct(numbers, _) => Some(numbers),
+            Algorithm::Im2col(_) | Algorithm::Winograd(_) => None,
         };
-        let order = order.and(2);
+        let order = order_of(numbers, self.shape.terms());
+        let order = order.and(order.more + 2);
         Ok(Some(sums.data().iter().map(|sum| order.error(f64::from(*sum))).collect()))
     }
 
@@ -235,18 +284,87 @@ impl Kernel for Convolution {
         };
         match &self.algorithm {
             Algorithm::Im2col(weight) => {
-                let weight = Panels::of(weight, self.shape.out_c, self.shape.terms());
-                self.im2col(self.shape, weight, input, residual, outputs[0]);
+                let terms = self.shape.terms();
+                let weight = Panels::of(weight, (self.shape.out_c, terms), None);
+                let source = match self.is_pointwise() {
+                    true => Source::Rows(Inputs::floats(input, terms)),
+                    false => Source::Map(input),
+                };
+                self.multiply(weight, source, residual, outputs[0]);
             }
-            Algorithm::Pairs(weight) => {
-                let shape = MapShape { in_c: self.shape.in_c / 2, ..self.shape };
-                let weight = Panels::of_pairs(weight, shape.out_c, shape.terms());
-                self.im2col(shape, weight, &pairs(input), residual, outputs[0]);
+            Algorithm::Direct(numbers, weight) => {
+                self.direct(*numbers, weight, input, residual, outputs[0]);
             }
             Algorithm::Winograd(kernel) => {
                 kernel.run(input, residual, &self.epilogue, outputs[0]);
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::packs::Packs;
+    use super::*;
+    use crate::engine::ops::Op;
+    use crate::engine::shape::Shape;
+    use crate::engine::tensor::Constant;
+
+    /// Both ways to the rows of im2col, gathered for the library and where they lie, of many pixels and of few.
+    #[test]
+    fn rows_are_gathered_or_lie_in_the_map() {
+        let some = |i: usize, step: usize| ((i * step % 101) as f32 - 50.0) / 50.0;
+        for (op, [in_c, out_c, side, kernel]) in [
+            (Conv2d { stride: 2, padding: 3, ..Conv2d::default() }, [3, 5, 11, 7]),
+            (Conv2d { padding: 2, dilation: 2, relu: true, ..Conv2d::default() }, [8, 70, 6, 3]),
+            (Conv2d { residual: true, ..Conv2d::default() }, [4, 8, 12, 1]),
+            (Conv2d { stride: 2, ..Conv2d::default() }, [4, 8, 12, 1]),
+        ] {
+            let op = Conv2d { bias: true, ..op };
+            let tensor = |shape: &[usize], step| -> Value {
+                Tensor::from_fn(Shape(shape.to_vec()), |i| some(i, step)).into()
+            };
+            let mut inputs = vec![tensor(&[in_c, side, side], 37)];
+            inputs.push(tensor(&[out_c, in_c, kernel, kernel], 53));
+            inputs.push(tensor(&[out_c], 29));
+            let spec = |inputs: &[Value]| inputs.iter().map(Value::spec).collect::<Vec<_>>();
+            if op.residual {
+                inputs.push(tensor(&[out_c, side, side], 41));
+            }
+            let output = op.infer(&spec(&inputs)).expect("a shape").remove(0);
+            let read: Vec<&Value> = inputs.iter().collect();
+            let want = op.reference(&read).expect("a reference").remove(0);
+            let last = |value: &Value| {
+                let mut last = vec![f32::NAN; value.spec().shape.elements()];
+                let floats = value.f32().expect("floats").data();
+                super::super::kernel::convert(
+                    &value.spec(),
+                    super::super::kernel::Layout::Planar,
+                    floats,
+                    &mut last,
+                );
+                last
+            };
+            let (want, given) = (last(&want), inputs.iter().map(last).collect::<Vec<_>>());
+            let weight = Constant::from(inputs[1].clone());
+            for numbers in [None, Numbers::of(Precision::F32)] {
+                let all = Packs::default();
+                let pack = Pack { all: &all, name: "w", weight: &weight, numbers };
+                let bias = inputs[2].f32().expect("floats");
+                let kernel = Convolution::new(op, &inputs[0].spec(), &output, Some(bias), pack);
+                let kernel = kernel.expect("a kernel");
+                assert!(!matches!(kernel.algorithm, Algorithm::Winograd(_)));
+                let bounds = kernel.tolerance(&read).expect("bounds").expect("its own");
+                let bounds: Value =
+                    Tensor::from_fn(output.shape.clone(), |i| bounds[i] as f32).into();
+                let data: Vec<Data> = given.iter().map(|data| Data::F32(data)).collect();
+                let mut got = vec![f32::NAN; want.len()];
+                kernel.run(&data, &mut [&mut got]).expect("a run");
+                for (i, bound) in last(&bounds).iter().enumerate() {
+                    assert!((got[i] - want[i]).abs() <= *bound, "{op:?} {numbers:?}: {i}");
+                }
+            }
+        }
     }
 }

@@ -1,5 +1,7 @@
 //! A convolution's sizes, and what happens to its sums.
 
+use super::words::Numbers;
+
 /// Sizes of a convolution's maps and kernel.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MapShape {
@@ -22,6 +24,11 @@ impl MapShape {
     /// Products in one output.
     pub fn terms(&self) -> usize {
         self.in_c * self.kh * self.kw
+    }
+
+    /// The same, with those that fill up a pixel's words.
+    pub fn padded_terms(&self, numbers: Numbers) -> usize {
+        self.in_c.next_multiple_of(numbers.a_word()) * self.kh * self.kw
     }
 }
 

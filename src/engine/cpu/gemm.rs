@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-use super::avx512;
-use super::scratch::Scratch;
+use super::tiles::{Panel, Rows, ways};
+use super::words::{self, Numbers, Scale};
 use crate::engine::cores::{each, threads};
 use crate::engine::ops::bounds::{Joined, SumOrder};
 pub(super) use crate::engine::reference::vectorised;
@@ -12,15 +12,20 @@ pub(super) use crate::engine::reference::vectorised;
 const PART: usize = 512;
 
 /// The order of [`Panels::multiply`]'s sums of `k` products, at the worst.
-pub(super) fn order(k: usize) -> SumOrder {
+fn order(k: usize) -> SumOrder {
     let (terms, parts) = (k.min(PART), k.div_ceil(PART));
     SumOrder { terms, parts, joined: Joined::InOrder, more: 0 }
 }
 
-/// The order of the sums of `k` products of [`pairs`], of which a part has as many words.
-pub(super) fn order_of_pairs(k: usize) -> SumOrder {
-    let words = order(k / 2);
-    SumOrder { terms: 2 * words.terms, ..words }
+/// The order of the sums of `k` products.
+pub(super) fn order_of(numbers: Option<Numbers>, k: usize) -> SumOrder {
+    match numbers {
+        None => order(k),
+        Some(Numbers::F32 | Numbers::Bf16) => SumOrder::serial(k),
+        // Sums are exact. What is rounded is each input and weight, as the numbers that they stand for, both
+        // scales, of what was rounded before, the sum as f32, and that by both scales.
+        Some(Numbers::Int8) => SumOrder::serial(1).and(10),
+    }
 }
 
 /// Outputs of a panel.
@@ -28,52 +33,71 @@ const PANEL: usize = 64;
 /// Fewest rows of a part where rows are shared: fewer take longer to fetch their weights than to multiply.
 const LEAST_ROWS: usize = 16;
 
-/// Weights of O outputs of K inputs, `[⌈O / PANEL⌉][K][PANEL]`, the last panel narrower.
+/// Outputs of which narrow numbers are multiplied together.
+const LANES: usize = 16;
+/// Weights, in words, by which all rows are multiplied before the next: 32 KiB, which stay in the first-level cache.
+const MOST_WEIGHTS: usize = 8 * 1024;
+/// Weights of O outputs of rows of K words, `[⌈O / PANEL⌉][K][PANEL]`, the last panel narrower. A word is a number, or
+/// several narrow ones; of those a panel's outputs are filled up to sixteens, and behind those of 8 bits
+/// lie each output's step and its weights' sum.
 ///
 /// Few rows take as long as their weights take to come from memory, and in panels those come in their order:
 /// 10 rows of 12 544 inputs take 2.6 ms for 512 outputs, and 7.2 where weights lie as `[K][O]`; 100 rows
 /// 15.2 and 16.9 (one core of an AMD EPYC).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Panels<'a> {
-    weights: &'a [f32],
+    packed: &'a [f32],
     outputs: usize,
-    /// Inputs, or pairs of them.
+    /// Words of a row.
     inner: usize,
-    pairs: bool,
+    numbers: Option<Numbers>,
 }
 
 impl<'a> Panels<'a> {
-    /// What [`Panels::fill`] packed.
-    pub fn of(weights: &'a [f32], outputs: usize, inner: usize) -> Self {
-        Self { weights: &weights[..outputs * inner], outputs, inner, pairs: false }
+    /// What [`Panels::packed`] packed for rows of `inner` numbers, or [`Panels::fill`].
+    pub fn of(
+        packed: &'a [f32],
+        (outputs, inner): (usize, usize),
+        numbers: Option<Numbers>,
+    ) -> Self {
+        let inner = numbers.map_or(inner, |numbers| inner.div_ceil(numbers.a_word()));
+        Self { packed, outputs, inner, numbers }
     }
 
-    /// Of what [`Panels::fill_pairs`] packed, for rows of `inner` [`pairs`].
-    pub fn of_pairs(weights: &'a [f32], outputs: usize, inner: usize) -> Self {
-        Self { pairs: true, ..Self::of(weights, outputs, inner) }
-    }
-
-    /// `weight(o, k)` packed for `inner` inputs, which are even in number where they are taken in [`pairs`].
+    /// `weight(o, k)` packed for `inner` inputs, whole words of them.
     pub fn packed(
         (outputs, inner): (usize, usize),
-        pairs: bool,
+        numbers: Option<Numbers>,
         weight: impl Fn(usize, usize) -> f32,
     ) -> Vec<f32> {
-        let words = if pairs { inner / 2 } else { inner };
-        let mut packed = vec![0.0; outputs * words];
-        match pairs {
-            false => Self::fill(&mut packed, words, weight),
-            true => Self::fill_pairs(&mut packed, words, weight),
+        let stride = numbers.map_or(outputs, |_| outputs.next_multiple_of(LANES));
+        let numbers = match numbers {
+            None | Some(Numbers::F32) => {
+                let mut packed = vec![0.0; stride * inner];
+                let padded = |o, k| if o < outputs { weight(o, k) } else { 0.0 };
+                Self::fill(&mut packed, inner, padded);
+                return packed;
+            }
+            Some(narrow) => narrow,
+        };
+        let words = inner / numbers.a_word();
+        let mut rounded = vec![0.0; stride * words];
+        let mut ends = vec![0.0; if numbers == Numbers::Int8 { 2 * stride } else { 0 }];
+        for (o, rounded) in rounded.chunks_exact_mut(words).enumerate().take(outputs) {
+            let of_output: Vec<f32> = (0..inner).map(|k| weight(o, k)).collect();
+            let scale = words::weights(numbers, &of_output, rounded);
+            if numbers == Numbers::Int8 {
+                ends[o] = scale.step;
+                ends[stride + o] = f32::from_bits(words::sum(rounded).cast_unsigned());
+            }
         }
+        let mut packed = vec![0.0; stride * words];
+        Self::fill(&mut packed, words, |o, k| rounded[o * words + k]);
+        packed.extend(ends);
         packed
     }
 
-    /// Packs `weight(o, k)` for twice `inner` inputs, in bf16.
-    pub fn fill_pairs(packed: &mut [f32], inner: usize, weight: impl Fn(usize, usize) -> f32) {
-        Self::fill(packed, inner, |o, k| pair(weight(o, 2 * k), weight(o, 2 * k + 1)));
-    }
-
-    /// Packs `weight(o, k)` for K = `inner` inputs.
+    /// Packs `weight(o, k)` for K = `inner` words.
     pub fn fill(packed: &mut [f32], inner: usize, weight: impl Fn(usize, usize) -> f32) {
         for (panel, packed) in packed.chunks_mut((PANEL * inner).max(1)).enumerate() {
             let width = packed.len() / inner;
@@ -85,85 +109,189 @@ impl<'a> Panels<'a> {
         }
     }
 
-    /// The weight of an output for an input.
+    /// The weight of an output for an input, in f32.
     pub fn at(self, output: usize, input: usize) -> f32 {
         let first = output / PANEL * PANEL;
         let width = PANEL.min(self.outputs - first);
-        self.weights[first * self.inner + input * width + output - first]
+        self.packed[first * self.inner + input * width + output - first]
     }
 
-    /// `dst[j · O + i] = Σ weight(i, k) · rows[j · K + k]` for N rows, on the calling thread.
-    pub fn multiply(self, dst: &mut [f32], rows: &[f32], n: usize) {
-        let Self { weights, outputs: o, inner: k, pairs } = self;
-        assert!(dst.len() >= n * o && rows.len() >= n * k);
-        if n == 0 || k == 0 {
-            dst[..n * o].fill(0.0);
+    /// Sums of a row, with those of outputs that only fill up.
+    pub fn stride(self) -> usize {
+        self.numbers.map_or(self.outputs, |_| self.outputs.next_multiple_of(LANES))
+    }
+
+    /// `sums[j · stride + i] = Σ weight(i, k) · rows[first + j][k]` for so many rows, on the calling thread.
+    pub fn multiply(self, sums: &mut [f32], rows: &Inputs, first: usize, count: usize) {
+        let stride = self.stride();
+        self.multiply_panels(0..self.outputs, (sums, stride), rows, first, count);
+    }
+
+    /// The same of some panels' outputs alone.
+    fn multiply_panels(
+        self,
+        outputs: Range<usize>,
+        (sums, stride): (&mut [f32], usize),
+        rows: &Inputs,
+        first: usize,
+        count: usize,
+    ) {
+        if count == 0 || self.inner == 0 {
+            sums[..count * stride].fill(0.0);
             return;
         }
-        for (panel, weights) in weights.chunks(PANEL * k).enumerate() {
-            let width = weights.len() / k;
-            for first in (0..k).step_by(PART) {
-                let (weights, rows) = (&weights[first * width..], &rows[first..]);
-                let dst = &mut dst[panel * PANEL..];
-                let length = PART.min(k - first);
-                if pairs {
-                    let panel = avx512::Panel { weights, width, rows, pitch: k, count: n, length };
-                    avx512::multiply(&panel, dst, o, first > 0);
-                    continue;
-                }
-                // SAFETY: the product reads weights[k' · width + i] and rows[j · K + k'] and writes
-                // dst[j · O + i] for i < width, j < N, first + k' < K. Those are a panel's weights, and,
-                // as panel · PANEL + width is at most O, parts of the slices that the assertion measures;
-                // `dst` is borrowed mutably, so it overlaps neither.
-                unsafe {
-                    gemm::gemm(
-                        width,
-                        n,
-                        length,
-                        dst.as_mut_ptr(),
-                        o as isize,
-                        1,
-                        first > 0,
-                        weights.as_ptr(),
-                        width as isize,
-                        1,
-                        rows.as_ptr(),
-                        k as isize,
-                        1,
-                        1.0f32,
-                        1.0f32,
-                        false,
-                        false,
-                        false,
-                        gemm::Parallelism::None,
-                    );
-                }
+        let Some(numbers) = self.numbers else {
+            for output in outputs.clone().step_by(PANEL) {
+                let (_, width, weights) = self.weights(output, outputs.end);
+                let sums = &mut sums[output - outputs.start..];
+                self.of_floats(weights, width, (sums, stride), rows.rows, first, count);
+            }
+            return;
+        };
+        let end = outputs.end.next_multiple_of(LANES);
+        let starts = rows.rows.starts(first, count);
+        let mut words = 0;
+        // The inputs of a part are read by all panels while they are near.
+        for part in rows.rows.parts(MOST_WEIGHTS / outputs.len().clamp(1, PANEL)) {
+            let mut output = outputs.start;
+            while output < end {
+                let (step, width, weights) = self.weights(output, end);
+                let (weights, add) = (&weights[words * step..], words > 0);
+                let panel = Panel { weights, step, width, rows: part, starts: &starts, add };
+                ways(numbers)[0](&panel, &mut sums[output - outputs.start..], stride);
+                output += width;
+            }
+            words += part.length * part.pieces.len();
+        }
+        if numbers == Numbers::Int8 {
+            self.scale(outputs.start..end, (sums, stride), rows, first, count);
+        }
+    }
+
+    /// The weights of an output and of those behind it in its panel up to an end, where they lie: from word to word,
+    /// how many, and from the first on.
+    fn weights(self, output: usize, end: usize) -> (usize, usize, &'a [f32]) {
+        let panel = output / PANEL * PANEL;
+        let step = PANEL.min(self.stride() - panel);
+        let weights = &self.packed[panel * self.inner..][..step * self.inner];
+        (step, (panel + step).min(end) - output, &weights[output - panel..])
+    }
+
+    /// Sums in f32 by the library.
+    fn of_floats(
+        self,
+        weights: &[f32],
+        width: usize,
+        (sums, stride): (&mut [f32], usize),
+        rows: Rows,
+        row: usize,
+        count: usize,
+    ) {
+        let k = self.inner;
+        let rows = &rows.words[row * k..][..count * k];
+        assert!(weights.len() >= k * width && sums.len() >= (count - 1) * stride + width);
+        for first in (0..k).step_by(PART) {
+            let (weights, rows) = (&weights[first * width..], &rows[first..]);
+            // SAFETY: the product reads weights[k' · width + i] and rows[j · K + k'] and writes
+            // sums[j · stride + i] for i < width, j < count, first + k' < K, all of them in the slices by the
+            // assertion; `sums` is borrowed mutably, so it overlaps neither.
+            unsafe {
+                gemm_f32::gemm::f32::get_gemm_fn()(
+                    width,
+                    count,
+                    PART.min(k - first),
+                    sums.as_mut_ptr(),
+                    stride as isize,
+                    1,
+                    first > 0,
+                    weights.as_ptr(),
+                    width as isize,
+                    1,
+                    rows.as_ptr(),
+                    k as isize,
+                    1,
+                    1.0f32,
+                    1.0f32,
+                    false,
+                    false,
+                    false,
+                    gemm_common::Parallelism::None,
+                );
             }
         }
     }
 
-    /// The same on all threads, in parts: a panel and all rows, so that each weight is read once, or where
-    /// panels are too few for threads to end together, some of the rows.
-    pub fn shared(self, rows: &[f32], n: usize) -> Vec<Part> {
-        let panels = self.outputs.div_ceil(PANEL).max(1);
-        let cuts = (4 * threads()).div_ceil(panels).min(n / LEAST_ROWS).max(1);
+    /// What a panel's sums of 8 bits stand for: each has its row's zero for each of its weights too much.
+    fn scale(
+        self,
+        outputs: Range<usize>,
+        (sums, stride): (&mut [f32], usize),
+        rows: &Inputs,
+        first: usize,
+        count: usize,
+    ) {
+        let (steps, totals) = self.packed[self.stride() * self.inner..].split_at(self.stride());
+        let (steps, totals) = (&steps[outputs.clone()], &totals[outputs.clone()]);
+        vectorised(
+            #[inline(always)]
+            || {
+                for (row, sums) in (first..).zip(sums.chunks_mut(stride).take(count)) {
+                    let scale = rows.scales[row.min(rows.scales.len() - 1)];
+                    for ((sum, step), total) in sums.iter_mut().zip(steps).zip(totals) {
+                        let [sum_of, total] = [*sum, *total].map(|x| x.to_bits().cast_signed());
+                        let zeros = total.wrapping_mul(i32::from(scale.zero));
+                        // One step after the other, so that zero stays zero whatever they are.
+                        *sum = sum_of.wrapping_sub(zeros) as f32 * step * scale.step;
+                    }
+                }
+            },
+        );
+    }
+
+    /// The same on all threads, in parts of some outputs and all rows, so that each weight is read once; where outputs
+    /// are too few for that, of some of the rows.
+    pub fn shared(self, rows: &Inputs, n: usize) -> Vec<Part> {
+        let threads = threads();
+        // Of whole panels where there are many, else one for each thread.
+        let width = match self.numbers {
+            Some(_) if self.outputs < 2 * threads * PANEL => {
+                self.outputs.div_ceil(threads).next_multiple_of(LANES)
+            }
+            _ => PANEL * self.outputs.div_ceil(2 * threads * PANEL).max(1),
+        };
+        let cuts = threads.div_ceil(self.outputs.div_ceil(width).max(1)).min(n / LEAST_ROWS).max(1);
         let each_has = n.div_ceil(cuts).max(1);
         let mut parts: Vec<Part> = (0..self.outputs)
-            .step_by(PANEL)
+            .step_by(width)
             .flat_map(|first| (0..n).step_by(each_has).map(move |row| (first, row)))
             .map(|(first, row)| {
-                let (rows, outputs) = (row..n.min(row + each_has), PANEL.min(self.outputs - first));
-                let sums = vec![0.0; rows.len() * outputs];
-                Part { first, outputs, rows, sums }
+                let (rows, outputs) = (row..n.min(row + each_has), width.min(self.outputs - first));
+                let stride = width.min(self.stride() - first);
+                let sums = vec![0.0; rows.len() * stride];
+                Part { first, outputs, stride, rows, sums }
             })
             .collect();
         each(parts.iter_mut(), |part| {
-            let weights = &self.weights[part.first * self.inner..];
-            let panel = Self::of(weights, part.outputs, self.inner);
-            let rows = &rows[part.rows.start * self.inner..];
-            Self { pairs: self.pairs, ..panel }.multiply(&mut part.sums, rows, part.rows.len());
+            let outputs = part.first..part.first + part.outputs;
+            let sums = (&mut part.sums[..], part.stride);
+            self.multiply_panels(outputs, sums, rows, part.rows.start, part.rows.len());
         });
         parts
+    }
+}
+
+/// Rows to multiply, and what their words stand for if those are narrow numbers.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Inputs<'a> {
+    pub rows: Rows<'a>,
+    /// One for each row, or one for all.
+    pub scales: &'a [Scale],
+}
+
+impl<'a> Inputs<'a> {
+    /// Rows of so many floats.
+    pub fn floats(rows: &'a [f32], inner: usize) -> Self {
+        Self { rows: Rows::contiguous(rows, inner), scales: &[] }
     }
 }
 
@@ -173,80 +301,77 @@ pub(super) struct Part {
     /// The first output.
     pub first: usize,
     pub outputs: usize,
+    /// Sums of a row.
+    pub stride: usize,
     pub rows: Range<usize>,
-    /// `[rows][outputs]`.
+    /// `[rows][stride]`.
     pub sums: Vec<f32>,
-}
-
-/// Two numbers in bf16, to the nearest, ties to even, as a word: the first in its low half.
-#[inline(always)]
-fn pair(low: f32, high: f32) -> f32 {
-    let rounded = |x: f32| {
-        let bits = x.to_bits();
-        let number = bits.wrapping_add(0x7fff + (bits >> 16 & 1)) >> 16;
-        if x.is_nan() { bits >> 16 | 0x40 } else { number }
-    };
-    f32::from_bits(rounded(low) | rounded(high) << 16)
-}
-
-/// Pairs of numbers in bf16 as words, made on all threads.
-pub(super) fn pairs(numbers: &[f32]) -> Scratch {
-    const PART: usize = 16 * 1024;
-    let mut words = Scratch::new(numbers.len() / 2);
-    each(words.chunks_mut(PART).zip(numbers.chunks(2 * PART)), |(words, numbers)| {
-        vectorised(
-            #[inline(always)]
-            || {
-                for (word, [low, high]) in words.iter_mut().zip(numbers.as_chunks::<2>().0) {
-                    *word = pair(*low, *high);
-                }
-            },
-        );
-    });
-    words
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// Words of two numbers, each rounded as the crate `half` does.
-    #[test]
-    fn pairs_are_rounded_to_the_nearest() {
-        let ties = [1.0 + 1.0 / 256.0, 1.0 + 3.0 / 256.0, -1.0 - 1.0 / 256.0 - 1e-6, f32::MAX];
-        let odd = [f32::NAN, f32::from_bits(0x7f80_0001), f32::NEG_INFINITY, -0.0, 1e-40, 3.0];
-        let some = (0..4000u32).map(|i| f32::from_bits(i.wrapping_mul(0x9e37_79b9)));
-        let numbers: Vec<f32> = some.chain(ties).chain(odd).collect();
-        let want = |x: f32| u32::from(half::bf16::from_f32(x).to_bits());
-        for (word, [low, high]) in pairs(&numbers).iter().zip(numbers.as_chunks::<2>().0) {
-            assert_eq!(word.to_bits(), want(*low) | want(*high) << 16, "{low:e} {high:e}");
-        }
-        // Of two as near the even one: 1, and 1 + 4/256.
-        assert_eq!(pairs(&ties[..2])[0].to_bits(), 0x3f82_3f80);
-    }
-
     /// All numbers of rows and of outputs that a tile may have, and sums of several parts, of whole numbers, so that
-    /// each order of adding is exact.
+    /// each order of adding is exact. Each way of multiplying narrow numbers that this CPU has is tried.
     #[test]
     fn products_of_all_sizes() {
         for n in 1..=26 {
-            for (o, k) in [1, 15, 17, 33, 48, 64, 70].map(|o| (o, 2 + 2 * ((37 * n * o) % 700))) {
-                let weight = |o: usize, k: usize| ((o * 7 + k * 13) % 11) as f32 - 5.0;
-                let mut packed = vec![f32::NAN; o * k];
-                Panels::fill(&mut packed, k, weight);
-                let mut in_pairs = vec![f32::NAN; o * k / 2];
-                Panels::fill_pairs(&mut in_pairs, k / 2, weight);
-                let rows: Vec<f32> = (0..n * k).map(|i| (i % 9) as f32 - 4.0).collect();
-                let mut sums = vec![vec![f32::NAN; n * o]];
-                Panels::of(&packed, o, k).multiply(&mut sums[0], &rows, n);
-                if avx512::multiplies_bf16() {
-                    sums.push(vec![f32::NAN; n * o]);
-                    Panels::of_pairs(&in_pairs, o, k / 2).multiply(&mut sums[1], &pairs(&rows), n);
-                }
-                for i in 0..n * o {
-                    let want: f32 = (0..k).map(|k2| weight(i % o, k2) * rows[i / o * k + k2]).sum();
-                    for sums in &sums {
-                        assert_eq!(sums[i], want, "{n} rows, {o} outputs of {k}: {i}");
+            for (o, k) in [1, 15, 17, 33, 48, 64, 70].map(|o| (o, 4 + 4 * ((37 * n * o) % 350))) {
+                // The largest of each output and of each row are 127 and 255, so that a step of 8 bits is 1.
+                let weight = |o: usize, k: usize| match k {
+                    0 => 127.0,
+                    _ => ((o * 7 + k * 13) % 11) as f32 - 5.0,
+                };
+                let row = |row: usize, k: usize| match k {
+                    0 => 255.0,
+                    _ => ((row * k + k) % 9) as f32,
+                };
+                let inputs: Vec<f32> = (0..n * k).map(|i| row(i / k, i % k)).collect();
+                let want: Vec<f32> = (0..n * o)
+                    .map(|i| (0..k).map(|k| weight(i % o, k) * row(i / o, k)).sum())
+                    .collect();
+                for numbers in [None, Some(Numbers::F32), Some(Numbers::Bf16), Some(Numbers::Int8)]
+                {
+                    if numbers.is_some_and(|numbers| ways(numbers).is_empty()) {
+                        continue;
+                    }
+                    let packed = Panels::packed((o, k), numbers, weight);
+                    let panels = Panels::of(&packed, (o, k), numbers);
+                    let mut sums = vec![f32::NAN; n * panels.stride()];
+                    let rounded = numbers.map(|numbers| words::rows(numbers, &inputs, k));
+                    let rows = match &rounded {
+                        None => Inputs::floats(&inputs, k),
+                        Some(rounded) => Inputs {
+                            rows: Rows::contiguous(&rounded.words, panels.inner),
+                            scales: &rounded.scales,
+                        },
+                    };
+                    panels.multiply(&mut sums, &rows, 0, n);
+                    for (sums, want) in sums.chunks(panels.stride()).zip(want.chunks(o)) {
+                        assert_eq!(sums[..o], *want, "{n} rows, {o} outputs of {k}: {numbers:?}");
+                    }
+                    // The other ways give the same bits.
+                    let others =
+                        numbers.map_or(&[][..], |numbers| ways(numbers).get(1..).unwrap_or(&[]));
+                    for way in others {
+                        let width = PANEL.min(panels.stride());
+                        let starts = rows.rows.starts(0, n);
+                        let (weights, rows) = (&packed[..], rows.rows);
+                        let panel = Panel {
+                            weights,
+                            step: width,
+                            width,
+                            rows,
+                            starts: &starts,
+                            add: false,
+                        };
+                        let [mut one, mut other] = [(); 2].map(|()| vec![f32::NAN; n * width]);
+                        way(&panel, &mut one, width);
+                        ways(numbers.expect("narrow"))[0](&panel, &mut other, width);
+                        assert!(
+                            one.iter().map(|x| x.to_bits()).eq(other.iter().map(|x| x.to_bits()))
+                        );
                     }
                 }
             }
@@ -261,16 +386,17 @@ mod tests {
         assert_eq!(packed[..2], [0.0, 10.0]);
         assert_eq!(packed[64..66], [1.0, 11.0]);
         assert_eq!(packed[192..], [640.0, 650.0, 641.0, 651.0, 642.0, 652.0]);
-        let panels = Panels::of(&packed, 66, 3);
+        let panels = Panels::of(&packed, (66, 3), None);
         assert_eq!([panels.at(63, 2), panels.at(64, 0), panels.at(65, 1)], [632.0, 640.0, 651.0]);
 
         // Two rows: the sum of an output's weights, and its first.
         let rows = [1.0, 1.0, 1.0, 1.0, 0.0, 0.0];
         let want = |row: usize, o: usize| if row == 0 { 30 * o + 3 } else { 10 * o } as f32;
         let mut sums = vec![f32::NAN; 2 * 66];
-        panels.multiply(&mut sums, &rows, 2);
+        let rows = Inputs::floats(&rows, 3);
+        panels.multiply(&mut sums, &rows, 0, 2);
         assert!((0..2 * 66).all(|i| sums[i] == want(i / 66, i % 66)), "{sums:?}");
-        for Part { first, outputs, rows, sums } in panels.shared(&rows, 2) {
+        for Part { first, outputs, rows, sums, .. } in panels.shared(&rows, 2) {
             assert_eq!(rows, 0..2);
             assert!((0..2 * outputs).all(|i| sums[i] == want(i / outputs, first + i % outputs)));
         }
@@ -283,11 +409,12 @@ mod tests {
             let mut packed = vec![0.0; o * 3];
             Panels::fill(&mut packed, 3, |o, k| (10 * o + k) as f32);
             let rows: Vec<f32> = (0..n * 3).map(|i| (i % 7) as f32).collect();
-            let panels = Panels::of(&packed, o, 3);
+            let panels = Panels::of(&packed, (o, 3), None);
             let mut all = vec![f32::NAN; n * o];
-            panels.multiply(&mut all, &rows, n);
+            let rows = Inputs::floats(&rows, 3);
+            panels.multiply(&mut all, &rows, 0, n);
             let mut seen = 0;
-            for Part { first, outputs, rows, sums } in panels.shared(&rows, n) {
+            for Part { first, outputs, rows, sums, .. } in panels.shared(&rows, n) {
                 seen += sums.len();
                 for (row, sums) in rows.zip(sums.chunks_exact(outputs)) {
                     assert_eq!(sums, &all[row * o + first..][..outputs], "{n} × {o}");

@@ -2,9 +2,11 @@
 
 use std::sync::Arc;
 
-use super::gemm::{Panels, Part, order, order_of_pairs, pairs};
+use super::gemm::{Inputs, Panels, Part, order_of};
 use super::kernel::{Data, Kernel, Layout, map_sizes};
 use super::packs::Pack;
+use super::tiles::Rows;
+use super::words::{self, Numbers};
 use crate::engine::ops::Linear;
 use crate::engine::ops::bounds::magnitude;
 use crate::engine::ops::linear::rows;
@@ -23,8 +25,8 @@ pub(super) struct FullyConnected {
     layout: Layout,
     /// Inputs of a row.
     inner: usize,
-    /// Whether products are of pairs in bf16.
-    pairs: bool,
+    /// What is multiplied, if not f32.
+    numbers: Option<Numbers>,
     weight: Arc<Vec<f32>>,
     bias: Vec<f32>,
 }
@@ -43,16 +45,17 @@ impl FullyConnected {
             }
             _ => (Layout::Planar, inner, 1),
         };
-        let pairs = pack.pairs && inner.is_multiple_of(2);
+        let numbers = pack.numbers_of(outputs, inner.next_multiple_of(4), true);
+        let padded = inner.next_multiple_of(numbers.map_or(1, Numbers::a_word));
         let channels_last = |weight: &Tensor| {
-            Panels::packed((outputs, inner), pairs, |o, k| {
+            Panels::packed((outputs, padded), numbers, |o, k| {
                 let (pixel, channel) = (k / channels, k % channels);
-                weight.data()[o * inner + channel * pixels + pixel]
+                if k < inner { weight.data()[o * inner + channel * pixels + pixel] } else { 0.0 }
             })
         };
-        let weight = pack.get(if pairs { "linear in bf16" } else { "linear" }, channels_last)?;
+        let weight = pack.get("linear", numbers, channels_last)?;
         let rows = rows(&input.shape);
-        Ok(Self { op, rows, layout, inner, pairs, weight, bias: bias.data().to_vec() })
+        Ok(Self { op, rows, layout, inner, numbers, weight, bias: bias.data().to_vec() })
     }
 }
 
@@ -70,13 +73,14 @@ impl Kernel for FullyConnected {
     }
 
     fn precision(&self) -> Precision {
-        if self.pairs { Precision::Bf16 } else { Precision::F32 }
+        self.numbers.map_or(Precision::F32, Numbers::precision)
     }
 
     fn tolerance(&self, inputs: &[&Value]) -> crate::error::Result<Option<Vec<f64>>> {
         let (input, weight) = (magnitude(inputs[0])?, magnitude(inputs[1])?);
         let sums = reference::linear(&input, &weight, &magnitude(inputs[2])?, self.rows, false);
-        let order = if self.pairs { order_of_pairs(self.inner) } else { order(self.inner) }.and(1);
+        let order = order_of(self.numbers, self.inner);
+        let order = order.and(order.more + 1);
         Ok(Some(sums.data().iter().map(|sum| order.error(f64::from(*sum))).collect()))
     }
 
@@ -88,16 +92,19 @@ impl Kernel for FullyConnected {
         };
         let outputs_a_row = self.bias.len();
         let input = &input[..rows * self.inner];
-        let parts = match self.pairs {
-            false => Panels::of(&self.weight, outputs_a_row, self.inner).shared(input, rows),
-            true => {
-                let panels = Panels::of_pairs(&self.weight, outputs_a_row, self.inner / 2);
-                panels.shared(&pairs(input), rows)
+        let weight = Panels::of(&self.weight, (outputs_a_row, self.inner), self.numbers);
+        let parts = match self.numbers {
+            None => weight.shared(&Inputs::floats(input, self.inner), rows),
+            Some(numbers) => {
+                let rounded = words::rows(numbers, input, self.inner);
+                let words = self.inner.div_ceil(numbers.a_word());
+                let lie = Rows::contiguous(&rounded.words, words);
+                weight.shared(&Inputs { rows: lie, scales: &rounded.scales }, rows)
             }
         };
-        for Part { first, outputs: count, rows, sums } in parts {
+        for Part { first, outputs: count, stride, rows, sums } in parts {
             let bias = &self.bias[first..][..count];
-            for (row, sums) in rows.zip(sums.chunks_exact(count)) {
+            for (row, sums) in rows.zip(sums.chunks_exact(stride)) {
                 let to = &mut outputs[0][row * outputs_a_row + first..][..count];
                 for ((to, sum), bias) in to.iter_mut().zip(sums).zip(bias) {
                     let value = sum + bias;

@@ -1,4 +1,4 @@
-//! The network in f32, or with products in bf16, on this machine's CPU, for machines without an adapter.
+//! The network in f32, or with products in bf16 or of 8 bits, on this machine's CPU, for machines without an adapter.
 //!
 //! A [`CpuPlan`] is a [`Graph`] made ready: each operation by a kernel with
 //! its weights packed, each tensor in a buffer that is reused when it is dead. Maps lie with a
@@ -7,8 +7,9 @@
 //!
 //! | file | what it holds |
 //! |---|---|
-//! | `kernel` | what every kernel offers |
-//! | `gemm`, `avx512`, `packs`, `scratch` | matrix products, those of bf16, weights packed for them, memory that stays |
+//! | `kernel`, `scratch` | what every kernel offers, memory that stays for the next |
+//! | `words`, `tiles` | numbers as they are multiplied, f32, bf16 or of 8 bits; their products |
+//! | `gemm`, `packs` | matrix products, weights packed for them |
 //! | `epilogue`, `winograd`, `conv2d`, `linear` | convolutions and fully connected layers, as matrix products |
 //! | `crop_resize` | the network's input |
 //! | `pooling`, `maps` | CBAM's poolings and gates, the largest in windows, interpolation, weighted sums |
@@ -20,7 +21,6 @@
 //! It knows no GPU. Results are within the bounds to which a shader is held, but not bit for bit
 //! those of another machine: the matrix product chooses its order by the CPU.
 
-mod avx512;
 mod conv2d;
 mod crop_resize;
 mod epilogue;
@@ -36,11 +36,14 @@ mod reference;
 mod roi_align;
 mod scratch;
 mod select;
+mod tiles;
 mod winograd;
+mod words;
 
 #[cfg(doc)]
 use crate::engine::graph::Graph;
 
-pub use avx512::multiplies_bf16;
 pub use plan::CpuPlan;
 pub(crate) use plan::Given;
+pub(crate) use words::in_8_bits;
+pub use words::multiplies;

@@ -3,18 +3,25 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
+use super::words::Numbers;
 use crate::engine::graph::{Graph, Node};
 use crate::engine::lock::lock;
 use crate::engine::ops::winograd::POINTS;
+use crate::engine::precision::Precision;
 use crate::engine::tensor::{Constant, Tensor};
 use crate::error::Result;
 
-/// A tensor's name, and how it is packed.
-type Key = (String, &'static str);
+/// A tensor's name, how it is packed, and in which numbers if not in f32.
+type Key = (String, &'static str, Option<Numbers>);
 
 /// Most bytes that the transformed weights of a network may take. Those of the large network take 430 MB where
 /// its input is so large that all are; with as many weights as a file may hold it would be 2 GiB.
 const MOST_TRANSFORMED: u64 = 512 << 20;
+
+/// Fewest outputs for which inputs are rounded to narrow numbers.
+const LEAST_OUTPUTS: usize = 32;
+/// Most inputs of a sum of 8 bits, with those that fill up words: 32 bits hold 2¹⁶ products of 255 and 127.
+const MOST_INPUTS: usize = 1 << 16;
 
 /// Packed weights.
 #[derive(Debug, Default)]
@@ -42,27 +49,37 @@ pub(super) struct Pack<'a> {
     pub all: &'a Packs,
     pub name: &'a str,
     pub weight: &'a Constant,
-    /// Whether products are of pairs in bf16 where the kernel has them.
-    pub pairs: bool,
+    /// What is multiplied where the kernel knows how, if not f32.
+    pub numbers: Option<Numbers>,
 }
 
 impl Pack<'_> {
+    /// What is multiplied for so many outputs of so many inputs. Narrow numbers are where they pay: not where an input
+    /// is rounded for few products, as with few outputs, or if it is not `reused` at other places, and not where a
+    /// sum of 8 bits might not fit.
+    pub fn numbers_of(&self, outputs: usize, inputs: usize, reused: bool) -> Option<Numbers> {
+        let pays = outputs >= LEAST_OUTPUTS && reused && inputs <= MOST_INPUTS;
+        let floats = || Numbers::of(Precision::F32);
+        if pays { self.numbers } else { self.numbers.and_then(|_| floats()) }
+    }
+
     /// The weight's sizes.
     pub fn dims(&self) -> &[usize] {
         &self.weight.spec().shape.0
     }
 
-    /// What `make` packs in this `manner`. Where a plan has it already, the weight is not even unpacked.
+    /// What `make` packs in this `manner`, in these numbers. Where a plan has it already, the weight is not even unpacked.
     ///
     /// # Errors
     /// What making the weight returns.
     pub fn get(
         &self,
         manner: &'static str,
+        numbers: Option<Numbers>,
         make: impl FnOnce(&Tensor) -> Vec<f32>,
     ) -> Result<Arc<Vec<f32>>> {
         let mut all = lock(&self.all.all);
-        let key = (self.name.to_owned(), manner);
+        let key = (self.name.to_owned(), manner, numbers);
         if let Some(packed) = all.get(&key) {
             return Ok(packed.clone());
         }
@@ -106,8 +123,8 @@ mod tests {
             Ok(Tensor::new([2], vec![1.0f32, 2.0])?.into())
         });
         let all = Packs::default();
-        let pack = Pack { all: &all, name: "w", weight: &weight, pairs: false };
-        let get = |manner| pack.get(manner, |w| w.data().to_vec()).expect("a weight");
+        let pack = Pack { all: &all, name: "w", weight: &weight, numbers: None };
+        let get = |manner| pack.get(manner, None, |w| w.data().to_vec()).expect("a weight");
         assert_eq!([get("one"), get("one")].map(|packed| packed.to_vec()), [[1.0, 2.0]; 2]);
         assert_eq!(made.load(Ordering::Relaxed), 1);
         get("another");
@@ -116,8 +133,8 @@ mod tests {
         let broken = Constant::made(TensorSpec::f32([2]), || {
             Tensor::<f32>::new([2], vec![]).map(Into::into)
         });
-        let pack = Pack { all: &all, name: "broken", weight: &broken, pairs: false };
-        assert!(pack.get("one", |w| w.data().to_vec()).is_err());
-        assert!(pack.get("one", |w| w.data().to_vec()).is_err());
+        let pack = Pack { all: &all, name: "broken", weight: &broken, numbers: None };
+        assert!(pack.get("one", None, |w| w.data().to_vec()).is_err());
+        assert!(pack.get("one", None, |w| w.data().to_vec()).is_err());
     }
 }

@@ -4,11 +4,13 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use super::avx512::multiplies_bf16;
 use super::kernel::{Data, Kernel, Layout, convert};
+#[cfg(doc)]
+use super::multiplies;
 use super::packs::Packs;
 use super::reference::Reference;
 use super::select;
+use super::words::Numbers;
 use web_time::Instant;
 
 use crate::engine::cores::Caller;
@@ -92,8 +94,8 @@ impl std::fmt::Debug for CpuPlan {
 
 impl CpuPlan {
     /// Packs the weights of `graph`. A run gives back its outputs and the tensors in `keep`. Weights that
-    /// `like` has packed, a plan of the same weights, are shared. In [`Precision::Bf16`] products are of numbers
-    /// rounded to it, where this CPU [`multiplies_bf16`] and the kernel knows how; else all are in f32.
+    /// `like` has packed, a plan of the same weights, are shared. Products are of numbers rounded to
+    /// `precision` where this CPU [`multiplies`] them and the kernel knows how; else all are in f32.
     ///
     /// # Errors
     /// What the kernels refuse.
@@ -103,10 +105,10 @@ impl CpuPlan {
         like: Option<&Self>,
         precision: Precision,
     ) -> Result<Self> {
-        let pairs = precision == Precision::Bf16 && multiplies_bf16();
+        let numbers = Numbers::of(precision);
         let packs = like.map_or_else(|| Arc::new(Packs::new(graph)), |plan| plan.packs.clone());
         let mut builder =
-            Builder { graph, packs: &packs, pairs, made: HashMap::new(), steps: Vec::new() };
+            Builder { graph, packs: &packs, numbers, made: HashMap::new(), steps: Vec::new() };
         let mut constants = Vec::new();
         for node in graph.nodes() {
             builder.add(node, &mut constants)?;
@@ -319,7 +321,7 @@ impl CpuPlan {
 struct Builder<'a> {
     graph: &'a Graph,
     packs: &'a Packs,
-    pairs: bool,
+    numbers: Option<Numbers>,
     /// The layout in which each tensor is made.
     made: HashMap<TensorId, Layout>,
     steps: Vec<Step>,
@@ -340,7 +342,7 @@ impl Builder<'_> {
         let known: Vec<Option<&Constant>> = node.inputs.iter().map(constant).collect();
         let (op, outputs) = (node.op.as_ref(), &output_specs);
         let name = node.inputs.get(1).map_or("", |id| self.graph.name(*id));
-        let packs = (self.packs, self.pairs);
+        let packs = (self.packs, self.numbers);
         let kernel = match select::kernel(op, &input_specs, outputs, &known, packs, name)? {
             Some(kernel) => kernel,
             None => Box::new(Reference::new(node.op.clone(), input_specs.clone())),

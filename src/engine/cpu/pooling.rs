@@ -2,7 +2,8 @@
 
 use super::gemm::vectorised;
 use super::kernel::{Data, Kernel, Layout};
-use crate::engine::cores::each;
+use super::scratch::Scratch;
+use crate::engine::cores::{each, each_with};
 use crate::engine::ops::MaxPool2d;
 use crate::engine::shape::TensorSpec;
 
@@ -40,24 +41,34 @@ impl Kernel for Windows {
             let first = (at * stride).saturating_sub(padding);
             first..(at * stride + kernel).saturating_sub(padding).min(length)
         };
-        each(outputs[0].chunks_mut(out_w * channels).enumerate(), |(oy, row)| {
-            vectorised(
-                #[inline(always)]
-                || {
-                    for (ox, out) in row.chunks_exact_mut(channels).enumerate() {
-                        out.fill(f32::NEG_INFINITY);
+        let line = in_w * channels;
+        each_with(
+            outputs[0].chunks_mut(out_w * channels).enumerate(),
+            || Scratch::new(line),
+            |most, (oy, row)| {
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        // Down the columns of whole lines first, which are long, then along.
+                        most.fill(f32::NEG_INFINITY);
                         for y in inside(oy, in_h) {
+                            for (most, x) in most.iter_mut().zip(&input[y * line..][..line]) {
+                                *most = larger(*most, *x);
+                            }
+                        }
+                        for (ox, out) in row.chunks_exact_mut(channels).enumerate() {
+                            out.fill(f32::NEG_INFINITY);
                             for x in inside(ox, in_w) {
-                                let from = &input[(y * in_w + x) * channels..][..channels];
+                                let from = &most[x * channels..][..channels];
                                 for (out, value) in out.iter_mut().zip(from) {
                                     *out = larger(*out, *value);
                                 }
                             }
                         }
-                    }
-                },
-            );
-        });
+                    },
+                );
+            },
+        );
         Ok(())
     }
 }
@@ -91,8 +102,12 @@ impl OverSpace {
                     for pixel in run.chunks_exact(channels) {
                         for ((sum, most), x) in sum.iter_mut().zip(most.iter_mut()).zip(pixel) {
                             *sum += x;
-                            *most = larger(*most, *x);
+                            *most = largest_number(*most, *x);
                         }
+                    }
+                    for (c, most) in most.iter_mut().enumerate().filter(|(c, _)| sum[*c].is_nan()) {
+                        let all = run.iter().skip(c).step_by(channels);
+                        *most = all.fold(f32::NEG_INFINITY, |most, x| larger(most, *x));
                     }
                 },
             );
@@ -129,6 +144,9 @@ impl Kernel for OverSpace {
     }
 }
 
+/// Pixels that one thread reduces over their channels at a time.
+const PART: usize = 256;
+
 /// Maximum and mean over the channels of a gated map.
 #[derive(Debug)]
 pub(super) struct OverChannels {
@@ -143,8 +161,48 @@ impl OverChannels {
     }
 }
 
-/// Channels that are reduced side by side.
+/// Channels that are reduced side by side, and pixels whose lanes are then reduced together.
 const LANES: usize = 16;
+
+/// The largest gated value of a pixel's channels, and their mean.
+#[inline(always)]
+fn over_channels(pixels: &[f32], gate: &[f32], largest: &mut [f32], means: &mut [f32]) {
+    let channels = gate.len();
+    let mut lanes = [([0.0f32; LANES], [f32::NEG_INFINITY; LANES]); LANES];
+    let (gates, last_gates) = gate.as_chunks::<LANES>();
+    for (pixel, (sum, most)) in pixels.chunks_exact(channels).zip(&mut lanes) {
+        let (pixel, last) = pixel.as_chunks::<LANES>();
+        for (pixel, gate) in pixel.iter().zip(gates) {
+            for i in 0..LANES {
+                let gated = pixel[i] * gate[i];
+                sum[i] += gated;
+                most[i] = largest_number(most[i], gated);
+            }
+        }
+        for (i, (x, gate)) in last.iter().zip(last_gates).enumerate() {
+            sum[i] += x * gate;
+            most[i] = largest_number(most[i], x * gate);
+        }
+    }
+    // Each pixel's lanes become one, all pixels side by side.
+    let (mut sums, mut most) = ([0.0; LANES], [f32::NEG_INFINITY; LANES]);
+    for lane in 0..LANES {
+        for (i, (sum_of, most_of)) in lanes.iter().enumerate() {
+            sums[i] += sum_of[lane];
+            most[i] = largest_number(most[i], most_of[lane]);
+        }
+    }
+    let results = largest.iter_mut().zip(means).zip(sums.iter().zip(most));
+    for ((largest, mean), (sum, most)) in results {
+        (*largest, *mean) = (most, sum / channels as f32);
+    }
+}
+
+/// The larger of two numbers. A NaN is lost, but a sum of the same numbers shows that there is one.
+#[inline(always)]
+fn largest_number(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
 
 impl Kernel for OverChannels {
     fn output_layout(&self) -> Layout {
@@ -155,27 +213,25 @@ impl Kernel for OverChannels {
         let (input, gate) = (inputs[0].f32()?, inputs[1].f32()?);
         let (largest, means) = outputs[0].split_at_mut(self.pixels);
         let channels = self.channels;
-        let pixels = input.chunks(RUN * channels);
+        let pixels = input.chunks(PART * channels);
         each(
-            largest.chunks_mut(RUN).zip(means.chunks_mut(RUN)).zip(pixels),
+            largest.chunks_mut(PART).zip(means.chunks_mut(PART)).zip(pixels),
             |((largest, means), pixels)| {
                 vectorised(
                     #[inline(always)]
                     || {
-                        let each = largest.iter_mut().zip(means).zip(pixels.chunks_exact(channels));
-                        for ((largest, mean), pixel) in each {
-                            let mut sum = [0.0f32; LANES];
-                            let mut most = [f32::NEG_INFINITY; LANES];
-                            for (pixel, gate) in pixel.chunks(LANES).zip(gate.chunks(LANES)) {
-                                let lanes = sum.iter_mut().zip(&mut most).zip(pixel).zip(gate);
-                                for (((sum, most), x), gate) in lanes {
-                                    let gated = x * gate;
-                                    *sum += gated;
-                                    *most = larger(*most, gated);
-                                }
+                        let blocks = largest.chunks_mut(LANES).zip(means.chunks_mut(LANES));
+                        for ((largest, means), pixels) in
+                            blocks.zip(pixels.chunks(LANES * channels))
+                        {
+                            over_channels(pixels, gate, largest, means);
+                            if means.iter().any(|mean| mean.is_nan()) {
+                                let gated = pixels.chunks_exact(channels).map(|pixel| {
+                                    let gated = pixel.iter().zip(gate).map(|(x, gate)| x * gate);
+                                    gated.fold(f32::NEG_INFINITY, larger)
+                                });
+                                largest.iter_mut().zip(gated).for_each(|(to, most)| *to = most);
                             }
-                            *largest = most.into_iter().fold(f32::NEG_INFINITY, larger);
-                            *mean = sum.iter().sum::<f32>() / channels as f32;
                         }
                     },
                 );

@@ -17,6 +17,9 @@ pub(super) struct Regions {
     count: bool,
 }
 
+/// Channels that are added up side by side.
+const BLOCK: usize = 32;
+
 /// The two pixels that a sample lies between on an axis, and its distance from the first; `None` outside the map.
 type Between = Option<(usize, usize, f64)>;
 
@@ -44,39 +47,59 @@ impl Kernel for Regions {
                 (0..size * ratio).map(|i| neighbours(sample(i), extent)).collect()
             };
             let (ys, xs) = (along(b[1], b[3], self.height), along(b[0], b[2], self.width));
-            for (i, out) in out.chunks_exact_mut(bin).enumerate() {
-                let (ys, xs) = (&ys[i / size * ratio..][..ratio], &xs[i % size * ratio..][..ratio]);
-                let pairs =
-                    ys.iter().flatten().flat_map(|y| xs.iter().flatten().map(move |x| (y, x)));
-                let at = |y: usize, x: usize| (y * self.width + x) * self.channels;
-                let weight = |y: f64, x: f64| (y * x) as f32;
-                let samples = pairs.map(|((y0, y1, fy), (x0, x1, fx))| {
-                    [
-                        (at(*y0, *x0), weight(1.0 - fy, 1.0 - fx)),
-                        (at(*y0, *x1), weight(1.0 - fy, *fx)),
-                        (at(*y1, *x0), weight(*fy, 1.0 - fx)),
-                        (at(*y1, *x1), weight(*fy, *fx)),
-                    ]
-                });
-                vectorised(
-                    #[inline(always)]
-                    || {
-                        out.fill(0.0);
-                        for sample in samples {
-                            let [(a, wa), (b, wb), (c, wc), (d, wd)] = sample;
-                            let pixel = |at: usize| &features[at..at + bin];
-                            let (a, b, c, d) = (pixel(a), pixel(b), pixel(c), pixel(d));
-                            for (k, out) in out.iter_mut().enumerate() {
-                                *out += wa * a[k] + wb * b[k] + (wc * c[k] + wd * d[k]);
-                            }
+            let mut pixels = Vec::with_capacity(4 * ratio * ratio);
+            vectorised(
+                #[inline(always)]
+                || {
+                    for (i, out) in out.chunks_exact_mut(bin).enumerate() {
+                        let ys = &ys[i / size * ratio..][..ratio];
+                        let xs = &xs[i % size * ratio..][..ratio];
+                        self.pixels(ys, xs, &mut pixels);
+                        let (blocks, rest) = out.as_chunks_mut::<BLOCK>();
+                        let after = blocks.len() * BLOCK;
+                        for (i, out) in blocks.iter_mut().enumerate() {
+                            // In registers.
+                            let mut sums = [0.0; BLOCK];
+                            weigh(&features[i * BLOCK..], &pixels, share, &mut sums);
+                            *out = sums;
                         }
-                        for out in out.iter_mut() {
-                            *out *= share;
-                        }
-                    },
-                );
-            }
+                        weigh(&features[after..], &pixels, share, rest);
+                    }
+                },
+            );
         });
         Ok(())
+    }
+}
+
+impl Regions {
+    /// Where the pixels of a bin's samples are, and what each weighs.
+    fn pixels(&self, ys: &[Between], xs: &[Between], pixels: &mut Vec<(usize, f32)>) {
+        pixels.clear();
+        let at = |y: usize, x: usize| (y * self.width + x) * self.channels;
+        for (y0, y1, fy) in ys.iter().flatten() {
+            for (x0, x1, fx) in xs.iter().flatten() {
+                for (y, wy) in [(y0, 1.0 - fy), (y1, *fy)] {
+                    for (x, wx) in [(x0, 1.0 - fx), (x1, *fx)] {
+                        pixels.push((at(*y, *x), (wy * wx) as f32));
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// `out = share · Σ weight · features[pixel]`.
+#[inline(always)]
+fn weigh(features: &[f32], pixels: &[(usize, f32)], share: f32, out: &mut [f32]) {
+    out.fill(0.0);
+    let count = out.len();
+    for (at, weight) in pixels {
+        for (out, x) in out.iter_mut().zip(&features[*at..][..count]) {
+            *out += weight * x;
+        }
+    }
+    for out in out {
+        *out *= share;
     }
 }

@@ -3,6 +3,7 @@
 use std::any::Any;
 
 use super::kernel::Kernel;
+use super::words::Numbers;
 use super::{conv2d, crop_resize, linear, maps, packs, pooling, proposals, roi_align};
 use crate::engine::ops::{
     ApplyGates, ChannelPool, Conv2d, CropResize, DecodeProposals, GlobalAvgPool, Linear, MaxPool2d,
@@ -13,19 +14,19 @@ use crate::engine::tensor::Constant;
 use crate::error::Result;
 
 /// The kernel for an operation on inputs of these shapes. `constants` holds those inputs that are known
-/// now; weights, by their `name`, that `packs` has got already are shared. `pairs` says whether products are of
-/// pairs in bf16.
+/// now; weights, by their `name`, that `packs` has got already are shared. Products are of `numbers` where the
+/// kernel knows how.
 pub(super) fn kernel(
     op: &dyn Op,
     inputs: &[TensorSpec],
     outputs: &[TensorSpec],
     constants: &[Option<&Constant>],
-    (packs, pairs): (&packs::Packs, bool),
+    (packs, numbers): (&packs::Packs, Option<Numbers>),
     name: &str,
 ) -> Result<Option<Box<dyn Kernel>>> {
     let any: &dyn Any = op;
     let constant = |index: usize| constants.get(index).copied().flatten();
-    let pack = constant(1).map(|weight| packs::Pack { all: packs, name, weight, pairs });
+    let pack = constant(1).map(|weight| packs::Pack { all: packs, name, weight, numbers });
     if let Some(op) = any.downcast_ref::<Conv2d>() {
         let bias = if op.bias { constant(2) } else { None };
         let Some(pack) = pack.filter(|_| op.bias == bias.is_some()) else { return Ok(None) };

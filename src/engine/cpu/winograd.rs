@@ -8,12 +8,14 @@
 use std::sync::Arc;
 
 use super::epilogue::{Epilogue, MapShape};
-use super::gemm::{Panels, order, vectorised};
+use super::gemm::{Inputs, Panels, order_of, vectorised};
 use super::packs::Pack;
 use super::scratch::Scratch;
+use super::words::Numbers;
 use crate::engine::cores::{each, each_with, threads};
 use crate::engine::ops::Conv2d;
 use crate::engine::ops::winograd::{IN, OUT, POINTS, error_bound, point_weight};
+use crate::engine::precision::Precision;
 use crate::engine::tensor::Tensor;
 use crate::error::Result;
 
@@ -42,6 +44,8 @@ fn transformed(shape: MapShape, weight: &Tensor) -> Vec<f32> {
 #[derive(Debug)]
 pub(super) struct Winograd {
     shape: MapShape,
+    /// f32, where this CPU has a kernel of ours.
+    numbers: Option<Numbers>,
     /// G g Gᵀ of each of the 36 points, in [`Panels`].
     weight: Arc<Vec<f32>>,
 }
@@ -60,7 +64,8 @@ impl Winograd {
     /// # Errors
     /// As [`Pack::get`].
     pub fn new(shape: MapShape, pack: Pack) -> Result<Self> {
-        Ok(Self { shape, weight: pack.get("winograd", |weight| transformed(shape, weight))? })
+        let weight = pack.get("winograd", None, |weight| transformed(shape, weight))?;
+        Ok(Self { shape, numbers: Numbers::of(Precision::F32), weight })
     }
 
     /// How far each output may be from the definition's, `[O, H, W]`, for absolute values of the
@@ -73,7 +78,7 @@ impl Winograd {
     ) -> Vec<f64> {
         let MapShape { in_c, out_c, .. } = self.shape;
         let weight = |point, i, o| self.of_point(point).at(o, i);
-        error_bound(input, out_c, weight, bias, residual, order(in_c))
+        error_bound(input, out_c, weight, bias, residual, order_of(self.numbers, in_c))
     }
 
     fn tiles(&self) -> (usize, usize) {
@@ -117,7 +122,8 @@ impl Winograd {
                         .zip(points.chunks_exact(count * in_c))
                         .enumerate()
                     {
-                        self.of_point(point).multiply(sums, points, count);
+                        let points = Inputs::floats(points, in_c);
+                        self.of_point(point).multiply(sums, &points, 0, count);
                     }
                     let above = index * rows * OUT * out_w * out_c;
                     let residual = residual.map(|r| &r[above..above + output.len()]);
@@ -148,7 +154,7 @@ impl Winograd {
                 for (to, from) in points.chunks_exact_mut(in_c).zip(from) {
                     to.copy_from_slice(&from[point * in_c..][..in_c]);
                 }
-                self.of_point(point).multiply(sums, points, tiles);
+                self.of_point(point).multiply(sums, &Inputs::floats(points, in_c), 0, tiles);
             },
         );
         each(output.chunks_mut(OUT * out_w * out_c).enumerate(), |(row, output)| {
@@ -166,7 +172,8 @@ impl Winograd {
 
     fn of_point(&self, point: usize) -> Panels<'_> {
         let MapShape { in_c, out_c, .. } = self.shape;
-        Panels::of(&self.weight[point * in_c * out_c..], out_c, in_c)
+        let weight = &self.weight[point * in_c * out_c..][..in_c * out_c];
+        Panels::of(weight, (out_c, in_c), self.numbers)
     }
 
     /// Bᵀ d B of `tile`, written as tile `to` of `count` in `points` `[36, count, I]`.

@@ -13,7 +13,7 @@ const UPLOAD_BYTES: usize = 8 << 20;
 /// The format of a texture of four channels.
 pub(super) fn texture_format(precision: Precision) -> wgpu::TextureFormat {
     match precision {
-        Precision::F32 | Precision::Bf16 => wgpu::TextureFormat::Rgba32Float,
+        Precision::F32 | Precision::Bf16 | Precision::Int8 => wgpu::TextureFormat::Rgba32Float,
         Precision::F16 => wgpu::TextureFormat::Rgba16Float,
     }
 }

@@ -59,7 +59,7 @@ pub const HALF_CORNER_BOUND: f64 = 0.25;
 /// samples/*.png --precision f16` shows of corners.
 pub fn seen_bounds(precision: Precision) -> [f64; 2] {
     match precision {
-        Precision::F32 | Precision::Bf16 => [SCORE_BOUND, CORNER_BOUND],
+        Precision::F32 | Precision::Bf16 | Precision::Int8 => [SCORE_BOUND, CORNER_BOUND],
         Precision::F16 => [HALF_SCORE_BOUND, HALF_CORNER_BOUND],
     }
 }

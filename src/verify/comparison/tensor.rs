@@ -101,7 +101,7 @@ fn bias(
         let bits = (pair.0.to_bits(), pair.1.to_bits());
         run += usize::from(last.replace(bits).is_some_and(|last| last != bits));
         let rounding = match precision {
-            Precision::F32 | Precision::Bf16 => run,
+            Precision::F32 | Precision::Bf16 | Precision::Int8 => run,
             Precision::F16 => channel(shape, i),
         };
         if rounding >= bounds.len() {

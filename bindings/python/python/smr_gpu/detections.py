@@ -95,7 +95,7 @@ class Detections:
     """Whether a box was in doubt, so that a second run left nothing out."""
     reused: bool
     """Whether the frame is as one before it in a stream, so that its detections are that one's."""
-    precision: Literal["f32", "f16", "bf16"]
+    precision: Literal["f32", "f16", "bf16", "int8"]
     """How maps and weights were stored."""
     stages_ms: dict[str, float]
     """Milliseconds by stage; without those of a GPU that has no timestamps."""

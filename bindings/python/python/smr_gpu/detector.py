@@ -87,7 +87,7 @@ class Detector:
         rebuild_on_loss: bool = True,
         in_flight: int = 2,
         batch: int = 2,
-        precision: Literal["f32", "f16", "bf16"] = "f32",
+        precision: Literal["f32", "f16", "bf16", "int8"] = "f32",
         tuned_kernels: str | os.PathLike[str] | None = None,
         bounds_checks: bool = False,
     ) -> None:

@@ -289,7 +289,11 @@ async fn halves(
     }
     let mut found = Vec::new();
     for (stored, kernels) in kernels {
-        let Some(case) = rounded(case, &stored, precision) else { continue };
+        let round = |index: usize, tensor: &Tensor| match stored[index] {
+            true => in_half(tensor, precision),
+            false => Some(tensor.clone()),
+        };
+        let Some(case) = rounded(case, precision, round) else { continue };
         let expected = Expected::of(&case)?;
         for kernel in kernels {
             let report = check_kernel(gpu, &expected, &case.inputs, (kernel, precision)).await;
@@ -311,50 +315,26 @@ fn on_cores(case: &Case, precision: Precision) -> Option<Cow<'_, Case>> {
     if !["conv2d", "linear"].contains(&case.op.name()) || !multiplies(precision) {
         return None;
     }
-    let factor = |name: &str| ["input", "weight"].contains(&name);
-    let factors = case.op.inputs().iter().map(|name| factor(name)).collect::<Vec<_>>();
-    let rounded = match precision {
-        Precision::Int8 => case_in_8_bits(case, factor)?,
-        _ => rounded(case, &factors, precision)?,
-    };
-    Some(Cow::Owned(rounded))
-}
-
-/// The same in 8 bits, by the scales of each output's weights, and of each row of a layer's input or the whole map
-/// of a convolution's.
-#[cfg(feature = "cpu")]
-fn case_in_8_bits(case: &Case, factor: impl Fn(&str) -> bool) -> Option<Case> {
-    let mut inputs = Vec::with_capacity(case.inputs.len());
-    for (input, name) in case.inputs.iter().zip(case.op.inputs()) {
-        inputs.push(match input {
-            Value::F32(tensor) if factor(name) => {
-                let groups = match (name, case.op.name()) {
-                    ("input", "conv2d") => 1,
-                    ("input", _) => crate::engine::ops::linear::rows(tensor.shape()),
-                    _ => tensor.dims()[0],
-                };
-                let group = tensor.data().len() / groups.max(1);
-                let rounded = in_8_bits(tensor, group, name == "weight")?;
-                // Where none that is left is negative, the scale is another.
-                in_8_bits(&rounded, group, name == "weight")?.into()
-            }
-            other => other.clone(),
-        });
-    }
-    Some(of_rounded(case, inputs, Precision::Int8))
-}
-
-/// The case with inputs that were rounded to a precision.
-fn of_rounded(case: &Case, inputs: Vec<Value>, precision: Precision) -> Case {
-    let same = inputs == case.inputs;
-    Case {
-        name: format!("{} in {precision}", case.name),
-        op: case.op.clone(),
-        inputs,
-        by_hand: case.by_hand.clone().filter(|_| same),
-        exact: case.exact,
-        network: case.network,
-    }
+    let rounded = rounded(case, precision, |index, tensor| {
+        let is_weight = match case.op.inputs()[index] {
+            "input" => false,
+            "weight" => true,
+            _ => return Some(tensor.clone()),
+        };
+        if precision != Precision::Int8 {
+            return in_half(tensor, precision);
+        }
+        // By the scales of each output's weights, of each row of a layer's input or a convolution's whole map.
+        let groups = match (is_weight, case.op.name()) {
+            (true, _) => tensor.dims()[0],
+            (false, "conv2d") => 1,
+            (false, _) => crate::engine::ops::linear::rows(tensor.shape()),
+        };
+        let group = tensor.data().len() / groups.max(1);
+        // Twice: where none that is left is negative, the scale is another.
+        in_8_bits(&in_8_bits(tensor, group, is_weight)?, group, is_weight)
+    });
+    rounded.map(Cow::Owned)
 }
 
 /// Runs a case by the kernels of this machine's cores and holds it to its reference; `None` if they multiply
@@ -413,24 +393,37 @@ fn fitting(
     Ok(fitting.map(|kernel| (kernel, stored(kernel))).collect())
 }
 
-/// The case with those inputs that are `stored` in a precision rounded to it before, so that storing them
-/// changes nothing; `None` if it overflows.
-fn rounded(case: &Case, stored: &[bool], precision: Precision) -> Option<Case> {
+/// The case with each input of floats `round`ed to a precision before, so that storing or multiplying it in that
+/// changes nothing; `None` if one cannot be.
+fn rounded(
+    case: &Case,
+    precision: Precision,
+    round: impl Fn(usize, &Tensor) -> Option<Tensor>,
+) -> Option<Case> {
     let mut inputs = Vec::with_capacity(case.inputs.len());
-    for (input, stored) in case.inputs.iter().zip(stored) {
+    for (index, input) in case.inputs.iter().enumerate() {
         inputs.push(match input {
-            Value::F32(tensor) if *stored => {
-                let half = precision.rounded(tensor);
-                let mut pairs = tensor.data().iter().zip(half.data());
-                if pairs.any(|(x, half)| x.is_finite() && !half.is_finite()) {
-                    return None;
-                }
-                half.into()
-            }
+            Value::F32(tensor) => round(index, tensor)?.into(),
             other => other.clone(),
         });
     }
-    Some(of_rounded(case, inputs, precision))
+    let same = inputs == case.inputs;
+    Some(Case {
+        name: format!("{} in {precision}", case.name),
+        op: case.op.clone(),
+        inputs,
+        by_hand: case.by_hand.clone().filter(|_| same),
+        exact: case.exact,
+        network: case.network,
+    })
+}
+
+/// The tensor rounded to a precision of 16 bits; `None` if it overflows.
+fn in_half(tensor: &Tensor, precision: Precision) -> Option<Tensor> {
+    let half = precision.rounded(tensor);
+    let mut pairs = tensor.data().iter().zip(half.data());
+    let overflows = pairs.any(|(x, half)| x.is_finite() && !half.is_finite());
+    (!overflows).then_some(half)
 }
 
 /// [`check`] of one kernel in one precision; `None` if that stores nothing in f16.

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use super::epilogue::{Epilogue, MapShape};
-use super::gemm::{Inputs, Panels, Part, order_of, vectorised};
+use super::gemm::{Inputs, Panels, Part, order, vectorised};
 use super::kernel::{Data, Kernel};
 use super::packs::Pack;
 use super::scratch::Scratch;
@@ -68,11 +68,11 @@ impl Convolution {
         let [out_h, out_w] = [1, 2].map(|i| output.shape.0[i]);
         let shape = MapShape { in_c, in_h, in_w, out_c, out_h, out_w, kh, kw };
         let bias = bias.map_or_else(|| vec![0.0; out_c], |b| b.data().to_vec());
-        // Winograd's quarter of the products in f32 takes no longer than all in bf16.
         let numbers = pack.numbers_of(out_c, shape.padded_terms(Numbers::Int8), kh * kw > 1);
-        let all = numbers == Some(Numbers::Int8);
+        // Winograd's quarter of the products in f32 takes no longer than all in bf16, but longer than all of 8 bits.
+        let pays = numbers != Some(Numbers::Int8) && !pack.all.lean;
         let packed = |numbers| pack.get("im2col", numbers, |w| channels_last(w, numbers));
-        let algorithm = if Winograd::fits(&op, &shape) && !pack.all.lean && !all {
+        let algorithm = if Winograd::fits(&op, &shape) && pays {
             Algorithm::Winograd(Winograd::new(shape, pack)?)
         } else if let Some(direct) = numbers {
             Algorithm::Direct(direct, packed(numbers)?)
@@ -113,10 +113,10 @@ impl Convolution {
                 |[columns, sums], (index, output)| {
                     let (first, count) = (index * tile, output.len() / out_c);
                     match source {
-                        Source::Rows(rows) => weight.multiply(sums, &rows, first, count),
+                        Source::Rows(rows) => weight.multiply(sums, &rows, first..first + count),
                         Source::Map(input) => {
                             self.gather(input, first, &mut columns[..count * terms]);
-                            weight.multiply(sums, &Inputs::floats(columns, terms), 0, count);
+                            weight.multiply(sums, &Inputs::floats(columns, terms), 0..count);
                         }
                     }
                     vectorised(
@@ -271,8 +271,7 @@ impl Kernel for Convolution {
             Algorithm::Direct(numbers, _) => Some(numbers),
             Algorithm::Im2col(_) | Algorithm::Winograd(_) => None,
         };
-        let order = order_of(numbers, self.shape.terms());
-        let order = order.and(order.more + 2);
+        let order = order(numbers, self.shape.terms(), 2);
         Ok(Some(sums.data().iter().map(|sum| order.error(f64::from(*sum))).collect()))
     }
 

@@ -11,20 +11,17 @@ pub(super) use crate::engine::reference::vectorised;
 /// Products that are added up before their sum joins the others, whatever order the library takes.
 const PART: usize = 512;
 
-/// The order of [`Panels::multiply`]'s sums of `k` products, at the worst.
-fn order(k: usize) -> SumOrder {
-    let (terms, parts) = (k.min(PART), k.div_ceil(PART));
-    SumOrder { terms, parts, joined: Joined::InOrder, more: 0 }
-}
-
-/// The order of the sums of `k` products.
-pub(super) fn order_of(numbers: Option<Numbers>, k: usize) -> SumOrder {
+/// The order of [`Panels::multiply`]'s sums of `k` products, at the worst, and of `more` values added to them.
+pub(super) fn order(numbers: Option<Numbers>, k: usize, more: usize) -> SumOrder {
     match numbers {
-        None => order(k),
-        Some(Numbers::F32 | Numbers::Bf16) => SumOrder::serial(k),
+        None => {
+            let (terms, parts) = (k.min(PART), k.div_ceil(PART));
+            SumOrder { terms, parts, joined: Joined::InOrder, more }
+        }
+        Some(Numbers::F32 | Numbers::Bf16) => SumOrder::serial(k).and(more),
         // Sums are exact. What is rounded is each input and weight, as the numbers that they stand for, both
         // scales, of what was rounded before, the sum as f32, and that by both scales.
-        Some(Numbers::Int8) => SumOrder::serial(1).and(10),
+        Some(Numbers::Int8) => SumOrder::serial(1).and(10 + more),
     }
 }
 
@@ -37,6 +34,7 @@ const LEAST_ROWS: usize = 16;
 const LANES: usize = 16;
 /// Weights, in words, by which all rows are multiplied before the next: 32 KiB, which stay in the first-level cache.
 const MOST_WEIGHTS: usize = 8 * 1024;
+
 /// Weights of O outputs of rows of K words, `[⌈O / PANEL⌉][K][PANEL]`, the last panel narrower. A word is a number, or
 /// several narrow ones; of those a panel's outputs are filled up to sixteens, and behind those of 8 bits
 /// lie each output's step and its weights' sum.
@@ -70,7 +68,7 @@ impl<'a> Panels<'a> {
         numbers: Option<Numbers>,
         weight: impl Fn(usize, usize) -> f32,
     ) -> Vec<f32> {
-        let stride = numbers.map_or(outputs, |_| outputs.next_multiple_of(LANES));
+        let stride = filled_up(outputs, numbers);
         let numbers = match numbers {
             None | Some(Numbers::F32) => {
                 let mut packed = vec![0.0; stride * inner];
@@ -118,13 +116,13 @@ impl<'a> Panels<'a> {
 
     /// Sums of a row, with those of outputs that only fill up.
     pub fn stride(self) -> usize {
-        self.numbers.map_or(self.outputs, |_| self.outputs.next_multiple_of(LANES))
+        filled_up(self.outputs, self.numbers)
     }
 
-    /// `sums[j · stride + i] = Σ weight(i, k) · rows[first + j][k]` for so many rows, on the calling thread.
-    pub fn multiply(self, sums: &mut [f32], rows: &Inputs, first: usize, count: usize) {
+    /// `sums[j · stride + i] = Σ weight(i, k) · rows[range.start + j][k]`, on the calling thread.
+    pub fn multiply(self, sums: &mut [f32], rows: &Inputs, range: Range<usize>) {
         let stride = self.stride();
-        self.multiply_panels(0..self.outputs, (sums, stride), rows, first, count);
+        self.multiply_panels(0..self.outputs, (sums, stride), rows, range);
     }
 
     /// The same of some panels' outputs alone.
@@ -133,23 +131,22 @@ impl<'a> Panels<'a> {
         outputs: Range<usize>,
         (sums, stride): (&mut [f32], usize),
         rows: &Inputs,
-        first: usize,
-        count: usize,
+        range: Range<usize>,
     ) {
-        if count == 0 || self.inner == 0 {
-            sums[..count * stride].fill(0.0);
+        if range.is_empty() || self.inner == 0 {
+            sums[..range.len() * stride].fill(0.0);
             return;
         }
         let Some(numbers) = self.numbers else {
             for output in outputs.clone().step_by(PANEL) {
                 let (_, width, weights) = self.weights(output, outputs.end);
                 let sums = &mut sums[output - outputs.start..];
-                self.of_floats(weights, width, (sums, stride), rows.rows, first, count);
+                self.of_floats(weights, width, (sums, stride), rows.rows, range.clone());
             }
             return;
         };
         let end = outputs.end.next_multiple_of(LANES);
-        let starts = rows.rows.starts(first, count);
+        let starts = rows.rows.starts(range.clone());
         let mut words = 0;
         // The inputs of a part are read by all panels while they are near.
         for part in rows.rows.parts(MOST_WEIGHTS / outputs.len().clamp(1, PANEL)) {
@@ -164,7 +161,7 @@ impl<'a> Panels<'a> {
             words += part.length * part.pieces.len();
         }
         if numbers == Numbers::Int8 {
-            self.scale(outputs.start..end, (sums, stride), rows, first, count);
+            self.scale(outputs.start..end, (sums, stride), rows, range);
         }
     }
 
@@ -184,11 +181,10 @@ impl<'a> Panels<'a> {
         width: usize,
         (sums, stride): (&mut [f32], usize),
         rows: Rows,
-        row: usize,
-        count: usize,
+        range: Range<usize>,
     ) {
-        let k = self.inner;
-        let rows = &rows.words[row * k..][..count * k];
+        let (k, count) = (self.inner, range.len());
+        let rows = &rows.words[range.start * k..range.end * k];
         assert!(weights.len() >= k * width && sums.len() >= (count - 1) * stride + width);
         for first in (0..k).step_by(PART) {
             let (weights, rows) = (&weights[first * width..], &rows[first..]);
@@ -227,15 +223,14 @@ impl<'a> Panels<'a> {
         outputs: Range<usize>,
         (sums, stride): (&mut [f32], usize),
         rows: &Inputs,
-        first: usize,
-        count: usize,
+        range: Range<usize>,
     ) {
         let (steps, totals) = self.packed[self.stride() * self.inner..].split_at(self.stride());
         let (steps, totals) = (&steps[outputs.clone()], &totals[outputs.clone()]);
         vectorised(
             #[inline(always)]
             || {
-                for (row, sums) in (first..).zip(sums.chunks_mut(stride).take(count)) {
+                for (row, sums) in range.zip(sums.chunks_mut(stride)) {
                     let scale = rows.scales[row.min(rows.scales.len() - 1)];
                     for ((sum, step), total) in sums.iter_mut().zip(steps).zip(totals) {
                         let [sum_of, total] = [*sum, *total].map(|x| x.to_bits().cast_signed());
@@ -274,10 +269,15 @@ impl<'a> Panels<'a> {
         each(parts.iter_mut(), |part| {
             let outputs = part.first..part.first + part.outputs;
             let sums = (&mut part.sums[..], part.stride);
-            self.multiply_panels(outputs, sums, rows, part.rows.start, part.rows.len());
+            self.multiply_panels(outputs, sums, rows, part.rows.clone());
         });
         parts
     }
+}
+
+/// So many outputs, with those that fill up a panel of our own kernels.
+fn filled_up(outputs: usize, numbers: Option<Numbers>) -> usize {
+    numbers.map_or(outputs, |_| outputs.next_multiple_of(LANES))
 }
 
 /// Rows to multiply, and what their words stand for if those are narrow numbers.
@@ -347,7 +347,7 @@ mod tests {
                             scales: &rounded.scales,
                         },
                     };
-                    panels.multiply(&mut sums, &rows, 0, n);
+                    panels.multiply(&mut sums, &rows, 0..n);
                     for (sums, want) in sums.chunks(panels.stride()).zip(want.chunks(o)) {
                         assert_eq!(sums[..o], *want, "{n} rows, {o} outputs of {k}: {numbers:?}");
                     }
@@ -356,7 +356,7 @@ mod tests {
                         numbers.map_or(&[][..], |numbers| ways(numbers).get(1..).unwrap_or(&[]));
                     for way in others {
                         let width = PANEL.min(panels.stride());
-                        let starts = rows.rows.starts(0, n);
+                        let starts = rows.rows.starts(0..n);
                         let (weights, rows) = (&packed[..], rows.rows);
                         let panel = Panel {
                             weights,
@@ -394,7 +394,7 @@ mod tests {
         let want = |row: usize, o: usize| if row == 0 { 30 * o + 3 } else { 10 * o } as f32;
         let mut sums = vec![f32::NAN; 2 * 66];
         let rows = Inputs::floats(&rows, 3);
-        panels.multiply(&mut sums, &rows, 0, 2);
+        panels.multiply(&mut sums, &rows, 0..2);
         assert!((0..2 * 66).all(|i| sums[i] == want(i / 66, i % 66)), "{sums:?}");
         for Part { first, outputs, rows, sums, .. } in panels.shared(&rows, 2) {
             assert_eq!(rows, 0..2);
@@ -412,7 +412,7 @@ mod tests {
             let panels = Panels::of(&packed, (o, 3), None);
             let mut all = vec![f32::NAN; n * o];
             let rows = Inputs::floats(&rows, 3);
-            panels.multiply(&mut all, &rows, 0, n);
+            panels.multiply(&mut all, &rows, 0..n);
             let mut seen = 0;
             for Part { first, outputs, rows, sums, .. } in panels.shared(&rows, n) {
                 seen += sums.len();

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::gemm::{Inputs, Panels, Part, order_of};
+use super::gemm::{Inputs, Panels, Part, order};
 use super::kernel::{Data, Kernel, Layout, map_sizes};
 use super::packs::Pack;
 use super::tiles::Rows;
@@ -79,8 +79,7 @@ impl Kernel for FullyConnected {
     fn tolerance(&self, inputs: &[&Value]) -> crate::error::Result<Option<Vec<f64>>> {
         let (input, weight) = (magnitude(inputs[0])?, magnitude(inputs[1])?);
         let sums = reference::linear(&input, &weight, &magnitude(inputs[2])?, self.rows, false);
-        let order = order_of(self.numbers, self.inner);
-        let order = order.and(order.more + 1);
+        let order = order(self.numbers, self.inner, 1);
         Ok(Some(sums.data().iter().map(|sum| order.error(f64::from(*sum))).collect()))
     }
 

@@ -2,6 +2,7 @@
 
 use super::gemm::vectorised;
 use super::kernel::{Data, Kernel, Layout};
+use super::words::WHOLE;
 use crate::engine::cores::each;
 use crate::engine::reference;
 use crate::engine::shape::TensorSpec;
@@ -144,8 +145,6 @@ const BLOCK: usize = 64;
 /// 1 / (1 + e⁻ˣ), without calls, so that many are computed side by side.
 #[inline(always)]
 fn sigmoid(x: f32) -> f32 {
-    /// From here on to twice as much f32 has whole numbers alone.
-    const WHOLE: f32 = 12_582_912.0;
     /// ln 2, and what f32 leaves of it.
     const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
     // e⁻ˣ = 2ⁿ · eʳ with |r| ≤ ln 2 / 2. Past 88 the result is 0 or 1 to f32's last bit.

@@ -1,6 +1,8 @@
 //! Products of words, in tiles as large as registers allow, by the instructions that a CPU has for them. No crate
 //! has those of narrow numbers, nor products of rows that overlap, as those of a convolution do.
 
+use std::ops::Range;
+
 use super::words::Numbers;
 
 /// A product of rows and the weights of some outputs. A word is a number, two in bf16 or four of 8 bits, the first in
@@ -59,10 +61,10 @@ impl<'a> Rows<'a> {
         })
     }
 
-    /// Where so many rows begin.
-    pub fn starts(&self, first: usize, count: usize) -> Vec<usize> {
+    /// Where these rows begin.
+    pub fn starts(&self, range: Range<usize>) -> Vec<usize> {
         let start = |row| row / self.line * self.line_pitch + row % self.line * self.pitch;
-        (first..first + count).map(start).collect()
+        range.map(start).collect()
     }
 
     /// Words from a row's start to the end of its last piece.

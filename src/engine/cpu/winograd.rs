@@ -8,7 +8,7 @@
 use std::sync::Arc;
 
 use super::epilogue::{Epilogue, MapShape};
-use super::gemm::{Inputs, Panels, order_of, vectorised};
+use super::gemm::{Inputs, Panels, order, vectorised};
 use super::packs::Pack;
 use super::scratch::Scratch;
 use super::words::Numbers;
@@ -78,7 +78,7 @@ impl Winograd {
     ) -> Vec<f64> {
         let MapShape { in_c, out_c, .. } = self.shape;
         let weight = |point, i, o| self.of_point(point).at(o, i);
-        error_bound(input, out_c, weight, bias, residual, order_of(self.numbers, in_c))
+        error_bound(input, out_c, weight, bias, residual, order(self.numbers, in_c, 0))
     }
 
     fn tiles(&self) -> (usize, usize) {
@@ -123,7 +123,7 @@ impl Winograd {
                         .enumerate()
                     {
                         let points = Inputs::floats(points, in_c);
-                        self.of_point(point).multiply(sums, &points, 0, count);
+                        self.of_point(point).multiply(sums, &points, 0..count);
                     }
                     let above = index * rows * OUT * out_w * out_c;
                     let residual = residual.map(|r| &r[above..above + output.len()]);
@@ -154,7 +154,7 @@ impl Winograd {
                 for (to, from) in points.chunks_exact_mut(in_c).zip(from) {
                     to.copy_from_slice(&from[point * in_c..][..in_c]);
                 }
-                self.of_point(point).multiply(sums, &Inputs::floats(points, in_c), 0, tiles);
+                self.of_point(point).multiply(sums, &Inputs::floats(points, in_c), 0..tiles);
             },
         );
         each(output.chunks_mut(OUT * out_w * out_c).enumerate(), |(row, output)| {

@@ -57,6 +57,10 @@ pub fn multiplies(precision: Precision) -> bool {
     precision == Precision::F32 || Numbers::of(precision).is_some()
 }
 
+/// From here on to some more f32 has whole numbers alone, so that a sum with it is rounded to one, ties to even, which
+/// its lowest bits are: those of this number are 0.
+pub(super) const WHOLE: f32 = 12_582_912.0;
+
 /// What a number of 8 bits stands for: `step · (number − zero)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Scale {
@@ -78,8 +82,8 @@ impl Scale {
     }
 
     /// Numbers with a sign, for weights.
-    fn of_weights(weights: &[f32]) -> Self {
-        Self::new(Range::of(weights), 127.0, 0)
+    fn of_weights(range: Range) -> Self {
+        Self::new(range, 127.0, 0)
     }
 
     fn new(range: Range, most: f32, zero: u8) -> Self {
@@ -92,8 +96,6 @@ impl Scale {
     /// The lowest 8 bits of the nearest number, ties to even.
     #[inline(always)]
     fn number(self, x: f32) -> u8 {
-        /// From here on to twice as much f32 has whole numbers alone; the lowest bits of this one are 0.
-        const WHOLE: f32 = 12_582_912.0;
         let steps = if self.step == 0.0 { 0.0 } else { 1.0 / self.step };
         (x * steps + (WHOLE + f32::from(self.zero))).to_bits() as u8
     }
@@ -280,7 +282,10 @@ pub(super) fn map(
 
 /// An output's weights, of whole words, rounded into words, and their [`Scale`].
 pub(super) fn weights(numbers: Numbers, weights: &[f32], words: &mut [f32]) -> Scale {
-    let scale = Scale::of_weights(weights);
+    let scale = match numbers {
+        Numbers::F32 | Numbers::Bf16 => Scale::NONE,
+        Numbers::Int8 => Scale::of_weights(Range::of(weights)),
+    };
     round(numbers, scale, numbers.a_word(), weights, words);
     scale
 }
@@ -297,7 +302,7 @@ pub(crate) fn in_8_bits(tensor: &Tensor, group: usize, is_weight: bool) -> Optio
     for group in tensor.data().chunks(group.max(1)) {
         let range = Range::of(group);
         let scale = match is_weight {
-            true => Scale::of_weights(group),
+            true => Scale::of_weights(range),
             false => Scale::of_inputs(range),
         };
         if scale.step.is_nan() {

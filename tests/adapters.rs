@@ -167,32 +167,53 @@ fn emulated(gpu: &Gpu, size: u32) -> Arc<Gpu> {
         Replacement { file: stem.into(), text }
     };
     let mut products = replaced("shared/products", &[("subgroupBroadcast(", "broadcast(")]);
+    // As many lanes as some shader broadcasts from.
     products.text.push_str(&format!(
         "
 #if SUBGROUPS
-var<workgroup> held: array<vec4<f32>, WORKGROUP>;
-var<private> place: u32;
+#if FOUR_LANES
+const HELD: u32 = 4u;
+#else
+#if EIGHT_LANES
+const HELD: u32 = 8u;
+#else
+const HELD: u32 = 16u;
+#endif
+#endif
+var<workgroup> held: array<vec4<f32>, WORKGROUP * SLICES / {size}u * HELD>;
+var<private> own_place: u32;
 fn lane_of(local: u32) -> u32 {{
-    place = (local * 5u + 3u) % WORKGROUP;
-    return place % {size}u;
+    own_place = (local * 5u + 3u) % (WORKGROUP * SLICES);
+    return own_place % {size}u;
 }}
 fn broadcast(w: vec4<f32>, lane: u32) -> vec4<f32> {{
+    let first = own_place / {size}u * HELD;
     workgroupBarrier();
-    held[place] = w;
+    if own_place % {size}u < HELD {{
+        held[first + own_place % {size}u] = w;
+    }}
     workgroupBarrier();
-    return held[place / {size}u * {size}u + lane];
+    return held[first + lane];
 }}
 #endif
 "
     ));
     let builtin = ("    @builtin(subgroup_invocation_id) lane: u32,\n", "\n");
-    let first = "    let picture_strips =";
-    let taken = "#if SUBGROUPS\n    let lane = lane_of(local);\n#endif\n    let picture_strips =";
-    let direct = replaced("conv2d/direct", &[builtin, (first, taken)]);
-    let first = "    let tile = workgroup.z / params.slices;\n";
-    let taken = format!("{first}    let lane = lane_of(local);\n");
+    let first = "#if SPLIT\n    let place = ";
+    let taken = format!("#if SUBGROUPS\n    let lane = lane_of(local);\n#endif\n{first}");
+    let direct = replaced("conv2d/direct", &[builtin, (first, &taken)]);
+    let taken = format!("    let lane = lane_of(local);\n{first}");
     let gemm = replaced("linear/gemm", &[builtin, (first, &taken)]);
-    gpu.with_replacement(products).with_replacement(direct).with_replacement(gemm)
+    let counted = "    let lanes = subgroupAdd(1u);
+    let begin = subgroupBroadcast(atomicAdd(&next_place, select(0u, lanes, lane == 0u)), 0u);
+    return Place(begin / WORKGROUP, begin % WORKGROUP + lane);";
+    let known = "    return Place(own_place / WORKGROUP, own_place % WORKGROUP);";
+    let mut slices = replaced("shared/slices", &[(counted, known)]);
+    let (before, rest) = slices.text.split_once("    if local == 0u {").expect("a counter");
+    let (_, behind) = rest.split_once("workgroupBarrier();\n").expect("a barrier before its use");
+    slices.text = format!("{before}{behind}");
+    let gpu = gpu.with_replacement(products).with_replacement(direct);
+    gpu.with_replacement(gemm).with_replacement(slices)
 }
 
 /// The whole network on subgroups that this adapter does not have, of sizes between and of the largest.

@@ -127,21 +127,27 @@ const FAULTS: &[Fault] = &[
     },
     Fault {
         what: "the pixels of all rows summed one after the other",
-        file: "global_avg_pool/quads",
-        changes: &[("row_sum += loaded(input", "sum += loaded(input")],
+        file: "shared/over_space",
+        changes: &[
+            (
+                "first_row = local / COLUMNS % ROWS",
+                "first_row = select(map.height, 0u, local % QUAD_LANES == 0u)",
+            ),
+            ("y += ROWS", "y += 1u"),
+            ("x += COLUMNS", "x += 1u"),
+            ("row_sum += value", "sum += value"),
+            ("row += ROWS * row_texels", "row += row_texels"),
+        ],
         op: "global_avg_pool",
         case: "one third everywhere",
         by_hand: false,
     },
     Fault {
-        what: "the last row of a chunk left out",
-        file: "channel_pool/quads",
-        changes: &[(
-            "min(first + params.chunk_rows, map",
-            "min(first + params.chunk_rows - 1u, map",
-        )],
+        what: "the last rows left out",
+        file: "shared/over_space",
+        changes: &[("i < bound(ROWS, map.zero)", "i < bound(ROWS - 1u, map.zero)")],
         op: "channel_pool",
-        case: "41 rows: three chunks, the last a row short",
+        case: "41 rows: some invocations have one less",
         by_hand: false,
     },
     Fault {
@@ -163,7 +169,7 @@ const FAULTS: &[Fault] = &[
     Fault {
         what: "the first picture's gates for all",
         file: "apply_gates/quads",
-        changes: &[("workgroup.z * params.spatial_gate_stride", "0u * params.spatial_gate_stride")],
+        changes: &[("workgroup.z * params.pooled_stride", "0u * params.pooled_stride")],
         op: "apply_gates",
         case: "four channels of two pixels by hand",
         by_hand: false,
@@ -236,8 +242,8 @@ const FAULTS: &[Fault] = &[
         what: "infinities taken for numbers",
         file: "not_finite",
         changes: &[(
-            "(input[start + i] & EXPONENT) == EXPONENT",
-            "(input[start + i] & 0x7fffffffu) > EXPONENT",
+            "(bits(at, start + i) & EXPONENT) == EXPONENT",
+            "(bits(at, start + i) & 0x7fffffffu) > EXPONENT",
         )],
         op: "not_finite",
         case: "each kind of number by hand",
@@ -559,8 +565,8 @@ const FAULTS: &[Fault] = &[
         what: "NaN found by comparing values",
         file: "not_finite",
         changes: &[(
-            "(input[start + i] & EXPONENT) == EXPONENT",
-            "bitcast<f32>(input[start + i]) != bitcast<f32>(input[start + i])",
+            "(bits(at, start + i) & EXPONENT) == EXPONENT",
+            "bitcast<f32>(bits(at, start + i)) != bitcast<f32>(bits(at, start + i))",
         )],
         op: "not_finite",
         case: "each kind of number by hand",
@@ -699,7 +705,7 @@ const HALF_FAULTS: &[Fault] = &[
     Fault {
         what: "sums without the power of two of their weights",
         file: "linear/gemm",
-        changes: &[(" * scale[column]", "")],
+        changes: &[("= scale[column]", "= 1.0")],
         op: "linear",
         case: "primes",
         by_hand: false,

@@ -41,8 +41,6 @@ mod not_finite;
 mod roi_align;
 #[path = "ops/softmax.rs"]
 mod softmax;
-#[path = "ops/spatial_gate.rs"]
-mod spatial_gate;
 #[path = "ops/spatial_pool.rs"]
 mod spatial_pool;
 #[path = "ops/top_k.rs"]

@@ -88,9 +88,8 @@ const CLASSES: [Class; 5] = [
 const COMMAND: f64 = 13e-6;
 
 /// Shaders that the table has a column for; what is left is in the last.
-const COLUMNS: [(&str, &[&str]); 3] = [
+const COLUMNS: [(&str, &[&str]); 2] = [
     ("convolutions", &["conv2d/direct", "conv2d/winograd_input", "conv2d/winograd_output"]),
-    ("joins", &["conv2d/join"]),
     ("layers", &["linear/gemm", "linear/planar"]),
 ];
 

@@ -1,15 +1,26 @@
-// How many values of each chunk of a tensor are infinite or NaN. By their bits: WGSL lets a compiler
+// How many values of each chunk of some tensors are infinite or NaN. By their bits: WGSL lets a compiler
 // assume that there are none. A workgroup is a chunk of CHUNK elements.
 
 // include: index
 
-struct Params {
+struct Part {
     // Rows, of which a count says how many are in use, and elements of a row.
     rows: u32,
     row_elements: u32,
+    // Chunks of this tensor and those before it.
+    end: u32,
+    // Elements of a picture.
+    stride: u32,
+}
+
+struct Params {
+    parts: array<Part, 6>,
+    // Tensors that there are; the other bindings are not read.
+    used: u32,
     chunks: u32,
-    // Elements of a picture of each buffer.
-    input_stride: u32,
+    // Where the first chunk's number goes.
+    first: u32,
+    // Elements of a picture.
     count_stride: u32,
     output_stride: u32,
 }
@@ -18,11 +29,27 @@ const LANES: u32 = 256u;
 const EXPONENT: u32 = 0x7f800000u;
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> input: array<u32>;
-@group(0) @binding(2) var<storage, read> count: array<u32>;
-@group(0) @binding(3) var<storage, read_write> output: array<u32>;
+@group(0) @binding(1) var<storage, read> count: array<u32>;
+@group(0) @binding(2) var<storage, read_write> output: array<u32>;
+@group(0) @binding(3) var<storage, read> input0: array<u32>;
+@group(0) @binding(4) var<storage, read> input1: array<u32>;
+@group(0) @binding(5) var<storage, read> input2: array<u32>;
+@group(0) @binding(6) var<storage, read> input3: array<u32>;
+@group(0) @binding(7) var<storage, read> input4: array<u32>;
+@group(0) @binding(8) var<storage, read> input5: array<u32>;
 
 var<workgroup> total: atomic<u32>;
+
+fn bits(part: u32, at: u32) -> u32 {
+    switch part {
+        case 0u: { return input0[at]; }
+        case 1u: { return input1[at]; }
+        case 2u: { return input2[at]; }
+        case 3u: { return input3[at]; }
+        case 4u: { return input4[at]; }
+        default: { return input5[at]; }
+    }
+}
 
 @compute @workgroup_size(LANES)
 fn main(
@@ -37,17 +64,24 @@ fn main(
         atomicStore(&total, 0u);
     }
     workgroupBarrier();
-    let live = min(count[workgroup.z * params.count_stride], params.rows) * params.row_elements;
-    let first = chunk * CHUNK;
-    let length = min(max(live, first) - first, CHUNK);
-    let start = workgroup.z * params.input_stride + first;
+    var at = 0u;
+    var begin = 0u;
+    while at + 1u < params.used && chunk >= params.parts[at].end {
+        begin = params.parts[at].end;
+        at += 1u;
+    }
+    let part = params.parts[at];
+    let live = min(count[workgroup.z * params.count_stride], part.rows) * part.row_elements;
+    let skipped = (chunk - begin) * CHUNK;
+    let length = min(max(live, skipped) - skipped, CHUNK);
+    let start = workgroup.z * part.stride + skipped;
     var found = 0u;
     for (var i = lane; i < length; i += LANES) {
-        found += select(0u, 1u, (input[start + i] & EXPONENT) == EXPONENT);
+        found += select(0u, 1u, (bits(at, start + i) & EXPONENT) == EXPONENT);
     }
     atomicAdd(&total, found);
     workgroupBarrier();
     if lane == 0u {
-        output[workgroup.z * params.output_stride + chunk] = atomicLoad(&total);
+        output[workgroup.z * params.output_stride + params.first + chunk] = atomicLoad(&total);
     }
 }

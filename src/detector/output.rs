@@ -161,7 +161,8 @@ fn count_of(network: &Network, values: &Values, id: TensorId) -> Result<u32> {
 fn check_finite(network: &Network, values: &Values) -> Result<()> {
     for witness in &network.witnesses {
         let counts = value(network, values, witness.counts)?.u32()?;
-        let count = counts.data().iter().map(|n| u64::from(*n)).sum();
+        let own = counts.data().get(witness.places.clone()).unwrap_or_default();
+        let count = own.iter().map(|n| u64::from(*n)).sum();
         if count > 0 {
             return Err(Error::NotFinite { stage: witness.stage.clone(), count });
         }
@@ -203,8 +204,10 @@ mod tests {
         ]);
         let pose = network.pose.expect("weights that know poses");
         values.insert(pose, floats(&[n, 5], flat(&|i| found[i].2.to_vec())));
-        let counts = network.witnesses.iter().map(|w| (w.counts, integers(vec![0])));
-        values.extend(counts);
+        for witness in &network.witnesses {
+            let words = network.graph.spec(witness.counts).shape.elements();
+            values.insert(witness.counts, integers(vec![0; words]));
+        }
         values
     }
 
@@ -262,7 +265,9 @@ mod tests {
         let (input, network) = (uneven(), network());
         let mut values = values(&network, &[]);
         let witness = network.witnesses.last().expect("witnesses");
-        values.insert(witness.counts, Tensor::new([1], vec![1_u32]).expect("a tensor").into());
+        let words = network.graph.spec(witness.counts).shape.elements();
+        let told = |i| u32::from(witness.places.contains(&i));
+        values.insert(witness.counts, Tensor::from_fn([words], told).into());
         let error = input.output(&network, &values, &input.whole(), 0).err().expect("an error");
         assert!(
             matches!(&error, Error::NotFinite { stage, count: 1 } if *stage == witness.stage),

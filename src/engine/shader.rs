@@ -73,6 +73,9 @@ const SHARED: &[(&str, &str)] = &[
     ("boxes", include_str!("../../wgsl/shared/boxes.wgsl")),
     ("relu", include_str!("../../wgsl/shared/relu.wgsl")),
     ("reduce", include_str!("../../wgsl/shared/reduce.wgsl")),
+    ("slices", include_str!("../../wgsl/shared/slices.wgsl")),
+    ("over_space", include_str!("../../wgsl/shared/over_space.wgsl")),
+    ("gates", include_str!("../../wgsl/shared/gates.wgsl")),
     ("sigmoid", include_str!("../../wgsl/shared/sigmoid.wgsl")),
     ("window", include_str!("../../wgsl/shared/window.wgsl")),
 ];

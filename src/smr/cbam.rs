@@ -4,7 +4,7 @@
 //! what this is, with reduction 16 and the batch norm of CBAM's published code on the spatial gate.
 
 use crate::engine::graph::{Graph, TensorId};
-use crate::engine::ops::{ApplyGates, ChannelGate, ChannelPool, SpatialGate, SpatialPool};
+use crate::engine::ops::{ApplyGates, ChannelGate, ChannelPool, SpatialPool};
 use crate::error::Result;
 use crate::smr::weights::Weights;
 
@@ -40,6 +40,5 @@ pub(super) fn cbam(
     let pooled = graph.apply1(&of("spatial.pool"), SpatialPool, &[input, channel_gate])?;
     let weight = graph.constant(of("spatial.conv.weight"), conv.weight);
     let bias = graph.constant(of("spatial.conv.bias"), conv.bias);
-    let spatial_gate = graph.apply1(&of("spatial"), SpatialGate, &[pooled, weight, bias])?;
-    graph.apply1(name, ApplyGates, &[input, channel_gate, spatial_gate])
+    graph.apply1(name, ApplyGates, &[input, channel_gate, pooled, weight, bias])
 }

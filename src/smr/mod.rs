@@ -15,11 +15,13 @@ pub use configuration::{MAX_CLASSES, ModelConfig, Variant};
 pub use roi_head::Wanted;
 pub use weights::{Bytes, MAX_FILE, WeightSource, Weights};
 
+use std::ops::Range;
+
 use backbone::Features;
 use cbam::POOLED;
 
 use crate::engine::graph::{Graph, TensorId};
-use crate::engine::ops::{CropResize, Nms, NotFinite};
+use crate::engine::ops::{CropResize, Nms, NotFinite, not_finite};
 use crate::engine::reference::Crop;
 use crate::engine::shape::{Extent, MAX_BYTES, MAX_PIXELS, TensorSpec};
 use crate::error::{Error, Result};
@@ -110,8 +112,10 @@ pub struct Witness {
     pub stage: String,
     /// The tensor.
     pub tensor: TensorId,
-    /// Output: how many of its values are not finite, u32, in parts as [`NotFinite`] gives them.
+    /// Output: how many values of this tensor and others are not finite, u32, in parts as [`NotFinite`] gives them.
     pub counts: TensorId,
+    /// Which of those parts are this tensor's.
+    pub places: Range<usize>,
 }
 
 /// What the attentions pool over space, `[2, C]` each, with the stage that each belongs to.
@@ -185,20 +189,27 @@ impl Network {
         graph.begin_stage("check");
         let named = |tensor| (graph.name(tensor).to_owned(), tensor);
         let maps = scales.into_iter().chain(proposals.maps).map(named);
-        let maps: Vec<_> = pooled.into_iter().chain(maps).map(|m| (m, None)).collect();
-        let rows = head.rows.into_iter().map(named).map(|row| (row, Some(proposals.count)));
-        let looked_at: Vec<_> = maps.into_iter().chain(rows).collect();
+        let maps: Vec<_> = pooled.into_iter().chain(maps).collect();
+        let rows: Vec<_> = head.rows.into_iter().map(named).collect();
         let mut witnesses = Vec::new();
-        for ((stage, tensor), count) in looked_at {
-            let name = format!("{}.not_finite", graph.name(tensor));
-            let inputs: Vec<_> = [tensor].into_iter().chain(count).collect();
-            let counts = graph.apply1(&name, NotFinite { count: count.is_some() }, &inputs)?;
-            witnesses.push(Witness { stage, tensor, counts });
+        for (name, tensors, count) in
+            [("maps.not_finite", maps, None), ("rows.not_finite", rows, Some(proposals.count))]
+        {
+            let inputs: Vec<_> = tensors.iter().map(|(_, id)| *id).chain(count).collect();
+            let op = NotFinite { values: tensors.len(), count: count.is_some() };
+            let counts = graph.apply1(name, op, &inputs)?;
+            let mut first = 0;
+            for (stage, tensor) in tensors {
+                let end = first + not_finite::chunks(graph.spec(tensor));
+                witnesses.push(Witness { stage, tensor, counts, places: first..end });
+                first = end;
+            }
         }
         let outputs =
             [head.boxes, head.scores, head.margins, head.classes, head.count, proposals.count];
-        let more = head.pose.into_iter().chain(witnesses.iter().map(|w| w.counts));
-        for id in outputs.into_iter().chain(more) {
+        let mut counts: Vec<_> = witnesses.iter().map(|w| w.counts).collect();
+        counts.dedup();
+        for id in outputs.into_iter().chain(head.pose).chain(counts) {
             graph.mark_output(id);
         }
         Ok(Self {

@@ -2,16 +2,15 @@
 //
 // One invocation computes CHANNELS outputs at each of PIXELS pixels side by side. Those of a workgroup work on
 // different pixels, those of small maps on several pictures, and the same channels. So all need the same
-// weights: with SUBGROUPS one lane reads a texel of them and spreads it to its subgroup, without they are
+// weights: with SPREAD one lane reads a texel of them and spreads it to its subgroup, without they are
 // read from one address, which compilers turn into scalar loads. With THREE_TAPS, the kernel is of 3 × 3, and the
 // taps of a row share the inputs that they have in common: the pixels of a strip lie as far apart as the
 // taps, or, with STRIDE_TWO, side by side.
 //
 // A block of quads of input channels is summed for itself and then added to the total: shorter
-// sums lose fewer digits. Where the blocks are split, a workgroup sums some of them as a picture of its
-// own, and `conv2d/join` adds those up.
+// sums lose fewer digits. With SPLIT, slices of a workgroup sum some of the blocks each, and the first adds them up.
 //
-// Constants: WORKGROUP invocations, with SUBGROUPS whole ones.
+// Constants: WORKGROUP invocations in each of SLICES, with SUBGROUPS whole ones.
 
 // include: bound
 // include: quads
@@ -19,6 +18,9 @@
 // include: input
 // include: products
 // include: relu
+#if SPLIT
+// include: slices
+#endif
 
 struct Params {
     input: Quads,
@@ -32,7 +34,7 @@ struct Params {
     strips: u32,
     spacing: u32,
     blocks: u32,
-    // Blocks of each part that they are split into.
+    // Blocks of a slice.
     split_blocks: u32,
     pictures: u32,
     // Columns of `weight`.
@@ -49,7 +51,7 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 // A texel is one output's weights of four input channels, zero in the padding. Texels lie as they are
 // read: by tile, quad of inputs, row of the kernel, tap, output of the tile.
-#if SUBGROUPS
+#if SPREAD
 #if HALF_WEIGHT
 @group(0) @binding(2) var weight: texture_storage_2d<rgba16float, read>;
 // What each output's sum is to be multiplied with: a power of two. Of whole tiles.
@@ -65,7 +67,7 @@ struct Params {
 @group(0) @binding(4) var<storage, read> residual: array<Texel>;
 @group(0) @binding(5) var<storage, read_write> output: array<OutputTexel>;
 
-#if SUBGROUPS
+#if SPREAD
 alias WeightPlace = vec2<u32>;
 #else
 alias WeightPlace = u32;
@@ -124,7 +126,7 @@ fn add_tap(
     first_input: u32,
 ) -> Sums {
     let x = pixels(strip, first_input);
-#if SUBGROUPS
+#if SPREAD
 #if FOUR_LANES
     let own = at + vec2<u32>(lane % 4u, 0u);
     return Sums(
@@ -188,7 +190,7 @@ fn beside(corner: vec2<u32>) -> vec2<u32> {
     return select(vec2<u32>(x, corner.y), below, x == map.columns * map.pitch);
 }
 
-@compute @workgroup_size(WORKGROUP)
+@compute @workgroup_size(WORKGROUP * SLICES)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(num_workgroups) workgroups: vec3<u32>,
@@ -200,10 +202,17 @@ fn main(
 #if !SUBGROUPS
     let lane = 0u;
 #endif
+#if SPLIT
+    let place = place_of(local, lane);
+#endif
     let picture_strips = params.strips * params.output.height;
     // Lanes past the last strip of the last picture repeat it.
     let last = params.pictures * picture_strips - 1u;
+#if SPLIT
+    let index = workgroup.x * WORKGROUP + place.own;
+#else
     let index = workgroup.x * WORKGROUP + local;
+#endif
     let picture = min(index, last) / picture_strips;
     let strip_index = min(index, last) % picture_strips;
     let out_y = strip_index / params.strips;
@@ -214,11 +223,17 @@ fn main(
     let left = out_x * params.stride - params.padding;
     let top = out_y * params.stride - params.padding;
     let tile = workgroup.y;
-    let begin = workgroup.z * params.split_blocks;
     // 0, in bounds that are no uniform alone: lavapipe 22.3 may otherwise put the uniform's values into
     // the code and compile anew at each dispatch. Loops of a known length would be unrolled.
     let none = select(0u, 1u, workgroups.x == 0u);
-    let end = bound(min(begin + params.split_blocks, params.blocks), none);
+    let split_blocks = bound(params.split_blocks, none);
+#if SPLIT
+    // All slices run in step: one that has fewer blocks goes over some of others, which count as zero.
+    let first_block = place.slice * split_blocks;
+    let begin = min(first_block, params.blocks - split_blocks);
+#else
+    let begin = bound(0u, none);
+#endif
     let width = params.input.width;
     let height = params.input.height;
     let dilation = params.dilation;
@@ -238,7 +253,7 @@ fn main(
     let taps = TAPS * CHANNELS;
     let taps_of_block = block_quads * kernel_height * kernel_width / TAPS;
     let first_taps = (tile * params.blocks + begin) * taps_of_block;
-#if SUBGROUPS
+#if SPREAD
     let taps_of_row = params.weight_width / taps;
     var at = vec2<u32>(first_taps % taps_of_row * taps, first_taps / taps_of_row);
     let second = vec2<u32>(CHANNELS, 0u);
@@ -253,10 +268,14 @@ fn main(
     var quad = first_quad + begin * block_quads;
     var corner = texel(params.input, picture, quad, 0u, 0u);
     var total = Sums();
-    for (var block = begin; block < end; block++) {
+    for (var block = 0u; block < split_blocks; block++) {
         var part = Sums();
         for (var i = 0u; i < block_quads; i++) {
+#if SPLIT
+            let exists = (quad < quads) & (begin + block >= first_block);
+#else
             let exists = quad < quads;
+#endif
             for (var ky = 0u; ky < kernel_height; ky++) {
                 let in_y = top + ky * dilation;
                 let row = corner.y + min(in_y, height - 1u);
@@ -283,7 +302,7 @@ fn main(
                     part = add_tap(part, at + second, lane, &strip, SECOND);
                     part = add_tap(part, at + 2u * second, lane, &strip, THIRD);
 #endif
-#if SUBGROUPS
+#if SPREAD
                     at.x += taps;
                     at = select(at, vec2<u32>(0u, at.y + 1u), at.x == params.weight_width);
 #else
@@ -299,17 +318,26 @@ fn main(
         total = join(total, part);
     }
 
+#if SPLIT
+    total.a = over_slices(place, total.a, none);
+    total.b = over_slices(place, total.b, none);
+    total.c = over_slices(place, total.c, none);
+    total.d = over_slices(place, total.d, none);
+    let stores = (index <= last) & (place.slice == 0u);
+#else
+    let stores = index <= last;
+#endif
     var sums = texels(total);
     var out_quad = tile * (CHANNELS / 4u);
     for (var i = 0u; i < bound(CHANNELS / 4u, none); i++) {
         let first_at = texel_index(
             params.output,
-            texel(params.output, picture * workgroups.z + workgroup.z, out_quad, out_y, out_x),
+            texel(params.output, picture, out_quad, out_y, out_x),
         );
         let channel = out_quad * 4u + vec4<u32>(0u, 1u, 2u, 3u);
         let exists = channel < vec4<u32>(params.output.channels);
         for (var j = 0u; j < bound(PIXELS, none); j++) {
-            if (index <= last) & (out_x + j * spacing < params.output.width) & exists.x {
+            if stores & (out_x + j * spacing < params.output.width) & exists.x {
                 let at = first_at + j * spacing;
 #if HALF_WEIGHT
                 var value = sums[i * PIXELS + j] * scale[out_quad] + bias[out_quad];

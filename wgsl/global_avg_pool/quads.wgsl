@@ -1,58 +1,51 @@
-// Average of each channel over space: a map, four channels a texel, to C values from `first` on.
-//
-// A workgroup goes over eight quads, eight invocations to a quad. Each adds up the pixels of a row,
-// then the rows, so that no sum is long; then one invocation adds up the eight of a channel.
+// Average of each channel over space: up to three maps, four channels a texel, to their values side by side.
 
 // include: bound
 // include: quads
 // include: texels
+// include: over_space
 
 struct Params {
-    map: Quads,
-    // Where in a picture of the output the averages go.
-    first: u32,
+    maps: array<Quads, 3>,
+    used: u32,
     output_stride: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> input: array<Texel>;
-@group(0) @binding(2) var<storage, read_write> output: array<f32>;
+// Where there are fewer, one is bound again.
+@group(0) @binding(1) var<storage, read> map0: array<Texel>;
+@group(0) @binding(2) var<storage, read> map1: array<Texel>;
+@group(0) @binding(3) var<storage, read> map2: array<Texel>;
+@group(0) @binding(4) var<storage, read_write> output: array<f32>;
 
-var<workgroup> sums: array<vec4<f32>, 64>;
+fn map_texel(which: u32, index: u32) -> vec4<f32> {
+    switch which {
+        case 0u: { return loaded(map0[index]); }
+        case 1u: { return loaded(map1[index]); }
+        default: { return loaded(map2[index]); }
+    }
+}
 
-@compute @workgroup_size(8, 8)
+@compute @workgroup_size(LANES)
 fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(local_invocation_id) local: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
+    @builtin(local_invocation_index) local: u32,
 ) {
-    let map = params.map;
-    let quad = workgroup.y * 8u + local.y;
-    let height = select(0u, map.height, quad < map.quads);
-    let row_texels = map.columns * map.pitch;
-    var row = texel_index(map, texel(map, workgroup.z, quad, 0u, 0u));
-    var sum = vec4(0.0);
-    for (var y = 0u; y < height; y++) {
-        var row_sum = vec4(0.0);
-        for (var x = local.x; x < map.width; x += 8u) {
-            row_sum += loaded(input[row + x]);
-        }
-        sum += row_sum;
-        row += row_texels;
+    // The map of this quad, and the channels of those before it.
+    var which = 0u;
+    var quad = workgroup.x * QUADS + local / QUAD_LANES;
+    var first = 0u;
+    while which + 1u < params.used && quad >= params.maps[which].quads {
+        quad -= params.maps[which].quads;
+        first += params.maps[which].channels;
+        which += 1u;
     }
-    sums[lane] = sum;
-    workgroupBarrier();
-
-    let channel = workgroup.y * 32u + lane;
-    if lane >= 32u || channel >= map.channels {
+    let map = params.maps[which];
+    let total = over_space(map, which, workgroup.z, quad, local);
+    let channel = quad * 4u + local % 4u;
+    if local % QUAD_LANES >= 4u || channel >= map.channels {
         return;
     }
-    let source = lane / 4u * 8u;
-    let part = lane % 4u;
-    var total = sums[source][part];
-    for (var i = 1u; i < bound(8u, map.zero); i++) {
-        total += sums[source + i][part];
-    }
-    output[workgroup.z * params.output_stride + params.first + channel] =
+    output[workgroup.z * params.output_stride + first + channel] =
         total / f32(map.width * map.height);
 }

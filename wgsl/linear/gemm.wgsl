@@ -1,11 +1,11 @@
 // A fully connected layer with bias and optional ReLU, over the rows in use.
 //
-// `partial`: invocations are outputs. One computes four outputs, WORKGROUP apart, of sixteen rows: it
-// reads its own weights; each lane reads a row's inputs and spreads them to all of its subgroup. Slices
-// of the inputs give the device enough to do at few rows, and shorter sums are more accurate. `finish`
-// adds the slices and the bias.
+// Invocations are outputs. One computes four outputs, WORKGROUP apart, of sixteen rows: it reads its own weights; each
+// lane reads a row's inputs and spreads them to all of its subgroup. Slices of the inputs give the device enough to
+// do at few rows, and shorter sums are more accurate. With SPLIT, the parts of a workgroup sum some of them each, and
+// the first adds them up.
 //
-// Constants: WORKGROUP invocations, whole subgroups. With ALIGNED, a row is a whole number of vec4.
+// Constants: WORKGROUP invocations, whole subgroups, in each of SLICES. With ALIGNED, a row is a whole number of vec4.
 
 struct Params {
     rows: u32,
@@ -15,10 +15,10 @@ struct Params {
     outputs: u32,
     slices: u32,
     slice_quads: u32,
+    // Slices of an invocation.
+    rounds: u32,
     // Columns of `weight`.
     weight_width: u32,
-    // Tiles of 4 * WORKGROUP outputs.
-    tiles: u32,
     relu: u32,
     // Always 0.
     zero: u32,
@@ -36,25 +36,27 @@ struct Params {
 #if HALF_WEIGHT
 @group(0) @binding(3) var weight: texture_storage_2d<rgba16float, read>;
 // What each output's sum is to be multiplied with: a power of two.
-@group(0) @binding(7) var<storage, read> scale: array<f32>;
+@group(0) @binding(6) var<storage, read> scale: array<f32>;
 #else
 @group(0) @binding(3) var weight: texture_storage_2d<rgba32float, read>;
 #endif
-// [slices][rows][outputs of whole tiles]
-@group(0) @binding(4) var<storage, read_write> partials: array<f32>;
-// Of whole tiles.
-@group(0) @binding(5) var<storage, read> bias: array<f32>;
-@group(0) @binding(6) var<storage, read_write> output: array<f32>;
+@group(0) @binding(4) var<storage, read> bias: array<f32>;
+@group(0) @binding(5) var<storage, read_write> output: array<f32>;
 
 // include: bound
 // include: index
 // include: products
 // include: relu
+#if SPLIT
+// include: slices
+#endif
 
 // Four inputs of a row; zero past the end.
 fn load(row: u32, quad: u32) -> vec4<f32> {
 #if ALIGNED
-    return input[row * (params.inner / 4u) + quad];
+    let quads = params.inner / 4u;
+    let x = input[row * quads + min(quad, quads - 1u)];
+    return select(vec4<f32>(), x, quad < quads);
 #else
     let column = 4u * quad + vec4<u32>(0u, 1u, 2u, 3u);
     let at = row * params.inner + min(column, vec4<u32>(params.inner - 1u));
@@ -78,8 +80,12 @@ struct Sums {
 
 const ROWS: u32 = 16u;
 
-@compute @workgroup_size(WORKGROUP)
-fn partial(
+fn add(a: Sums, b: Sums) -> Sums {
+    return Sums(a.a + b.a, a.b + b.b, a.c + b.c, a.d + b.d);
+}
+
+@compute @workgroup_size(WORKGROUP * SLICES)
+fn main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
     @builtin(subgroup_invocation_id) lane: u32,
@@ -89,97 +95,103 @@ fn partial(
     if first_row >= rows {
         return;
     }
-    let tile = workgroup.z / params.slices;
-    let slice = workgroup.z % params.slices;
+#if SPLIT
+    let place = place_of(local, lane);
+    let own = place.own;
+    let first_slice = place.slice;
+#else
+    let own = local;
+    let first_slice = 0u;
+#endif
+    let tile = workgroup.z;
     let tile_width = 4u * WORKGROUP;
     let last_row = rows - 1u;
-    let first_quad = slice * params.slice_quads;
-    let end = min(first_quad + params.slice_quads, (params.inner + 3u) / 4u);
-    let first_texel = (tile * params.inner_quads + first_quad) * tile_width;
-    var at = vec2<u32>(first_texel % params.weight_width + local, first_texel / params.weight_width);
-    let wrap = params.weight_width + local;
-    var sums = Sums();
-    for (var quad = first_quad; quad < end; quad++) {
-        let w = Four(
-            textureLoad(weight, at),
-            textureLoad(weight, at + vec2<u32>(WORKGROUP, 0u)),
-            textureLoad(weight, at + vec2<u32>(2u * WORKGROUP, 0u)),
-            textureLoad(weight, at + vec2<u32>(3u * WORKGROUP, 0u)),
+    let wrap = params.weight_width + own;
+    var total = Sums();
+    for (var round = 0u; round < params.rounds; round++) {
+        let slice = round * SLICES + first_slice;
+        // All slices run in step: one past the last goes over its weights with inputs of zero.
+        let first_quad = slice * params.slice_quads;
+        let first_weight = min(slice, params.slices - 1u) * params.slice_quads;
+        let first_texel = (tile * params.inner_quads + first_weight) * tile_width;
+        var at = vec2<u32>(
+            first_texel % params.weight_width + own,
+            first_texel / params.weight_width,
         );
-        at.x += tile_width;
-        at = select(at, vec2<u32>(local, at.y + 1u), at.x == wrap);
+        var sums = Sums();
+        for (var i = 0u; i < params.slice_quads; i++) {
+            let quad = first_quad + i;
+            let w = Four(
+                textureLoad(weight, at),
+                textureLoad(weight, at + vec2<u32>(WORKGROUP, 0u)),
+                textureLoad(weight, at + vec2<u32>(2u * WORKGROUP, 0u)),
+                textureLoad(weight, at + vec2<u32>(3u * WORKGROUP, 0u)),
+            );
+            at.x += tile_width;
+            at = select(at, vec2<u32>(own, at.y + 1u), at.x == wrap);
 #if FOUR_LANES
-        let row = first_row + lane % 4u;
-        let a = first(load(min(row, last_row), quad));
-        let b = first(load(min(row + 4u, last_row), quad));
-        let c = first(load(min(row + 8u, last_row), quad));
-        let d = first(load(min(row + 12u, last_row), quad));
+            let row = first_row + lane % 4u;
+            let a = first(load(min(row, last_row), quad));
+            let b = first(load(min(row + 4u, last_row), quad));
+            let c = first(load(min(row + 8u, last_row), quad));
+            let d = first(load(min(row + 12u, last_row), quad));
 #else
 #if EIGHT_LANES
-        let row = first_row + lane % 8u;
-        let near = load(min(row, last_row), quad);
-        let far = load(min(row + 8u, last_row), quad);
-        let a = first(near);
-        let b = second(near);
-        let c = first(far);
-        let d = second(far);
+            let row = first_row + lane % 8u;
+            let near = load(min(row, last_row), quad);
+            let far = load(min(row + 8u, last_row), quad);
+            let a = first(near);
+            let b = second(near);
+            let c = first(far);
+            let d = second(far);
 #else
-        let all = load(min(first_row + lane % 16u, last_row), quad);
-        let a = first(all);
-        let b = second(all);
-        let c = third(all);
-        let d = fourth(all);
+            let all = load(min(first_row + lane % 16u, last_row), quad);
+            let a = first(all);
+            let b = second(all);
+            let c = third(all);
+            let d = fourth(all);
 #endif
 #endif
-        sums.a = add_products(sums.a, w, columns(a));
-        sums.b = add_products(sums.b, w, columns(b));
-        sums.c = add_products(sums.c, w, columns(c));
-        sums.d = add_products(sums.d, w, columns(d));
+            sums.a = add_products(sums.a, w, columns(a));
+            sums.b = add_products(sums.b, w, columns(b));
+            sums.c = add_products(sums.c, w, columns(c));
+            sums.d = add_products(sums.d, w, columns(d));
+        }
+        total = add(total, sums);
     }
+#if SPLIT
+    total.a = over_slices(place, total.a, params.zero);
+    total.b = over_slices(place, total.b, params.zero);
+    total.c = over_slices(place, total.c, params.zero);
+    total.d = over_slices(place, total.d, params.zero);
+    if place.slice > 0u {
+        return;
+    }
+#endif
     // By output, then row.
     var results = array<vec4<f32>, 16>(
-        sums.a[0], sums.b[0], sums.c[0], sums.d[0],
-        sums.a[1], sums.b[1], sums.c[1], sums.d[1],
-        sums.a[2], sums.b[2], sums.c[2], sums.d[2],
-        sums.a[3], sums.b[3], sums.c[3], sums.d[3],
+        total.a[0], total.b[0], total.c[0], total.d[0],
+        total.a[1], total.b[1], total.c[1], total.d[1],
+        total.a[2], total.b[2], total.c[2], total.d[2],
+        total.a[3], total.b[3], total.c[3], total.d[3],
     );
     // Bounds that compilers do not see: unrolled, the stores would take long to compile.
     let used = min(bound(ROWS, params.zero), rows - first_row);
-    let row_width = params.tiles * tile_width;
-    for (var output_index = 0u; output_index < bound(4u, params.zero); output_index++) {
-        var to = (slice * params.rows + first_row) * row_width
-            + tile * tile_width + output_index * WORKGROUP + local;
+    for (var i = 0u; i < bound(4u, params.zero); i++) {
+        let column = tile * tile_width + i * WORKGROUP + own;
+        if column >= params.outputs {
+            break;
+        }
+#if HALF_WEIGHT
+        let factor = scale[column];
+#else
+        let factor = 1.0;
+#endif
+        var to = first_row * params.outputs + column;
         for (var row = 0u; row < used; row++) {
-            partials[to] = results[output_index * (ROWS / 4u) + row / 4u][row % 4u];
-            to += row_width;
+            let sum = results[i * (ROWS / 4u) + row / 4u][row % 4u] * factor + bias[column];
+            output[to] = select(sum, relu(vec4<f32>(sum)).x, params.relu != 0u);
+            to += params.outputs;
         }
     }
-}
-
-@compute @workgroup_size(64)
-fn finish(
-    @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let index = linear_index(workgroup, local, 64u);
-    let row = index / params.outputs;
-    let column = index % params.outputs;
-    if row >= min(count[0], params.rows) {
-        return;
-    }
-    let row_width = params.tiles * 4u * WORKGROUP;
-    var at = row * row_width + column;
-    var sum = bias[column];
-    for (var slice = 0u; slice < params.slices; slice++) {
-#if HALF_WEIGHT
-        sum += partials[at] * scale[column];
-#else
-        sum += partials[at];
-#endif
-        at += params.rows * row_width;
-    }
-    if params.relu != 0u {
-        sum = relu(vec4<f32>(sum)).x;
-    }
-    output[index] = sum;
 }

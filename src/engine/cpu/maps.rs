@@ -1,4 +1,4 @@
-//! Gates, weighted sums and interpolation on channels-last maps, and the gates of pixels.
+//! Gates, weighted sums and interpolation on channels-last maps.
 
 use super::gemm::vectorised;
 use super::kernel::{Data, Kernel, Layout};
@@ -6,39 +6,6 @@ use super::words::WHOLE;
 use crate::engine::cores::each;
 use crate::engine::reference;
 use crate::engine::shape::TensorSpec;
-
-/// Pixels that one task works on.
-const RUN: usize = 128;
-
-/// `input · channel gate · spatial gate`.
-#[derive(Debug)]
-pub(super) struct Gates {
-    pub channels: usize,
-}
-
-impl Kernel for Gates {
-    fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::error::Result<()> {
-        let (input, gate, spatial) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);
-        let run = RUN * self.channels;
-        let parts = input.chunks(run).zip(spatial.chunks(RUN));
-        each(outputs[0].chunks_mut(run).zip(parts), |(out, (input, spatial))| {
-            vectorised(
-                #[inline(always)]
-                || {
-                    let pixels = out.chunks_exact_mut(self.channels);
-                    for ((out, input), s) in
-                        pixels.zip(input.chunks_exact(self.channels)).zip(spatial)
-                    {
-                        for ((out, x), gate) in out.iter_mut().zip(input).zip(gate) {
-                            *out = x * (gate * s);
-                        }
-                    }
-                },
-            );
-        });
-        Ok(())
-    }
-}
 
 /// `Σ weights[k] · maps[k]`.
 #[derive(Debug)]
@@ -124,19 +91,20 @@ impl Kernel for Bilinear {
     }
 }
 
-/// `sigmoid` of a 7×7 convolution of a map of two planes.
+/// `input · channel gate · spatial gate`, which is the `sigmoid` of a 7×7 convolution of a map of two planes.
 #[derive(Debug)]
-pub(super) struct SpatialGates {
+pub(super) struct Gates {
+    channels: usize,
     height: usize,
     width: usize,
     weight: Vec<f32>,
     bias: f32,
 }
 
-impl SpatialGates {
+impl Gates {
     pub fn new(input: &TensorSpec, weight: &[f32], bias: f32) -> Self {
-        let [height, width] = [1, 2].map(|i| input.shape.0[i]);
-        Self { height, width, weight: weight.to_vec(), bias }
+        let [channels, height, width] = [0, 1, 2].map(|i| input.shape.0[i]);
+        Self { channels, height, width, weight: weight.to_vec(), bias }
     }
 }
 
@@ -166,30 +134,34 @@ fn sigmoid(x: f32) -> f32 {
 /// Taps on each side of the middle one.
 const REACH: usize = 3;
 
-impl Kernel for SpatialGates {
-    fn input_layout(&self, _index: usize) -> Layout {
-        Layout::Planar
+impl Kernel for Gates {
+    fn input_layout(&self, index: usize) -> Layout {
+        // What was pooled are two planes.
+        if index == 2 { Layout::Planar } else { Layout::ChannelsLast }
     }
 
     fn packed(&self) -> &'static [usize] {
-        &[1, 2]
+        &[3, 4]
     }
 
     fn run(&self, inputs: &[Data], outputs: &mut [&mut [f32]]) -> crate::error::Result<()> {
-        let input = inputs[0].f32()?;
+        let (input, gate, pooled) = (inputs[0].f32()?, inputs[1].f32()?, inputs[2].f32()?);
         let (height, width) = (self.height, self.width);
         let wide = width + 2 * REACH;
         // Rows with zeros on both sides, so that each tap is a shifted row.
         let mut padded = vec![0.0; 2 * height * wide + BLOCK];
-        for (to, from) in padded.chunks_exact_mut(wide).zip(input.chunks_exact(width)) {
+        for (to, from) in padded.chunks_exact_mut(wide).zip(pooled.chunks_exact(width)) {
             to[REACH..REACH + width].copy_from_slice(from);
         }
-        each(outputs[0].chunks_mut(width).enumerate(), |(y, out)| {
+        let row = width * self.channels;
+        each(outputs[0].chunks_mut(row).zip(input.chunks(row)).enumerate(), |(y, (out, input))| {
             vectorised(
                 #[inline(always)]
                 || {
-                    // So many outputs that their sums stay in registers.
-                    for (i, out) in out.chunks_mut(BLOCK).enumerate() {
+                    // So many pixels that their sums stay in registers.
+                    let block = BLOCK * self.channels;
+                    let blocks = out.chunks_mut(block).zip(input.chunks(block));
+                    for (i, (out, input)) in blocks.enumerate() {
                         let mut sums = [self.bias; BLOCK];
                         for (tap, weight) in self.weight.iter().enumerate() {
                             let (plane, ky, kx) = (tap / 49, tap / 7 % 7, tap % 7);
@@ -202,8 +174,12 @@ impl Kernel for SpatialGates {
                                 }
                             }
                         }
-                        for (out, sum) in out.iter_mut().zip(sums.map(sigmoid)) {
-                            *out = sum;
+                        let pixels = out.chunks_exact_mut(self.channels);
+                        let pixels = pixels.zip(input.chunks_exact(self.channels));
+                        for ((out, input), s) in pixels.zip(sums.map(sigmoid)) {
+                            for ((out, x), gate) in out.iter_mut().zip(input).zip(gate) {
+                                *out = x * (gate * s);
+                            }
                         }
                     }
                 },

@@ -7,7 +7,7 @@ use super::words::Numbers;
 use super::{conv2d, crop_resize, linear, maps, packs, pooling, proposals, roi_align};
 use crate::engine::ops::{
     ApplyGates, ChannelPool, Conv2d, CropResize, DecodeProposals, GlobalAvgPool, Linear, MaxPool2d,
-    Op, RoiAlign, SpatialGate, SpatialPool, TopK, UpsampleBilinear, WeightedSum,
+    Op, RoiAlign, SpatialPool, TopK, UpsampleBilinear, WeightedSum,
 };
 use crate::engine::shape::TensorSpec;
 use crate::engine::tensor::Constant;
@@ -55,15 +55,11 @@ pub(super) fn kernel(
     if any.is::<SpatialPool>() {
         return Ok(Some(Box::new(pooling::OverChannels::new(&inputs[0]))));
     }
-    if any.is::<SpatialGate>() {
-        let (Some(weight), Some(bias)) = (constant(1), constant(2)) else { return Ok(None) };
-        let (weight, bias) = (weight.get()?, bias.get()?);
-        let logits =
-            maps::SpatialGates::new(&inputs[0], weight.f32()?.data(), bias.f32()?.data()[0]);
-        return Ok(Some(Box::new(logits)));
-    }
     if any.is::<ApplyGates>() {
-        return Ok(Some(Box::new(maps::Gates { channels: inputs[0].shape.0[0] })));
+        let (Some(weight), Some(bias)) = (constant(3), constant(4)) else { return Ok(None) };
+        let (weight, bias) = (weight.get()?, bias.get()?);
+        let gates = maps::Gates::new(&inputs[0], weight.f32()?.data(), bias.f32()?.data()[0]);
+        return Ok(Some(Box::new(gates)));
     }
     if any.is::<UpsampleBilinear>() {
         return Ok(Some(Box::new(maps::Bilinear::new(&inputs[0], &outputs[0]))));

@@ -7,6 +7,7 @@
 mod convert;
 mod count;
 mod layout;
+mod over_space;
 mod plain;
 mod products;
 mod recording;
@@ -32,7 +33,6 @@ mod not_finite;
 mod roi_align;
 pub(crate) mod roof;
 mod softmax;
-mod spatial_gate;
 mod spatial_pool;
 mod top_k;
 mod upsample_bilinear;
@@ -303,7 +303,6 @@ static KERNELS: &[(&str, &[&'static dyn Kernel])] = &[
     ("not_finite", &[&not_finite::Planar]),
     ("roi_align", &[&roi_align::Quads, &roi_align::PLANAR]),
     ("softmax", &[&softmax::PLANAR]),
-    ("spatial_gate", &[&spatial_gate::PLANAR]),
     ("spatial_pool", &[&spatial_pool::Quads, &spatial_pool::PLANAR]),
     ("top_k", &[&top_k::PLANAR]),
     ("upsample_bilinear", &[&upsample_bilinear::Quads, &upsample_bilinear::PLANAR]),

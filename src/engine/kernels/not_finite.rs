@@ -1,18 +1,20 @@
 //! Values that are no finite number.
 
+use bytemuck::Zeroable;
+
 use crate::engine::kernels::count::count_tensor;
 use crate::engine::kernels::{Caps, Dispatch, Grid, Io, Kernel, Recording, Work};
 use crate::engine::ops::NotFinite;
-use crate::engine::ops::not_finite::CHUNK;
+use crate::engine::ops::not_finite::{CHUNK, chunks};
 use crate::engine::shader::{Shader, Variant, shader_params};
 use crate::error::Result;
 
 shader_params! {
     struct Params {
-        rows: u32,
-        row_elements: u32,
+        parts: [[u32; 4]; INPUTS.len()],
+        used: u32,
         chunks: u32,
-        input_stride: u32,
+        first: u32,
         count_stride: u32,
         output_stride: u32,
     }
@@ -24,11 +26,14 @@ static SHADER: Shader = Shader {
     params: PARAMS,
 };
 
+/// Tensors of a dispatch. With the count and the output they take the eight storage buffers that a stage has.
+const INPUTS: [&str; 6] = ["input0", "input1", "input2", "input3", "input4", "input5"];
+
 fn variant() -> Variant {
     Variant::of(&[("CHUNK", CHUNK as u32)])
 }
 
-/// The definition, a workgroup a chunk.
+/// The definition, a workgroup a chunk, for six tensors at a time.
 #[derive(Debug)]
 pub(super) struct Planar;
 
@@ -46,23 +51,35 @@ impl Kernel for Planar {
     }
 
     fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
-        let _op: &NotFinite = work.op()?;
-        let rows = recording.dims(inputs[0])[0];
-        let row_elements = recording.dims(inputs[0])[1..].iter().product::<usize>();
-        let chunks = recording.dims(outputs[0])[0];
-        let count = count_tensor(recording, inputs.get(1).copied(), rows);
-        let params = Params {
-            rows: rows as u32,
-            row_elements: row_elements as u32,
-            chunks: chunks as u32,
-            input_stride: recording.stride(inputs[0]),
-            count_stride: recording.stride(count),
-            output_stride: recording.stride(outputs[0]),
-        };
-        let bindings = [("input", inputs[0]), ("count", count), ("output", outputs[0])];
-        let grid = Grid::linear(chunks, 1).pictures(recording.batch());
-        let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
-        recording.dispatch(dispatch.variant(variant()));
+        let op: &NotFinite = work.op()?;
+        let (values, count) = inputs.split_at(op.values);
+        let rows = values.iter().map(|id| recording.dims(*id)[0]).max().unwrap_or(0);
+        let count = count_tensor(recording, count.first().copied(), rows);
+        let mut first = 0;
+        for values in values.chunks(INPUTS.len()) {
+            let mut params = Params::zeroed();
+            for (part, id) in params.parts.iter_mut().zip(values) {
+                let spec = &recording.info(*id).spec;
+                let rows = spec.shape.0[0];
+                params.chunks += chunks(spec) as u32;
+                let row_elements = spec.shape.elements() / rows;
+                *part = [rows as u32, row_elements as u32, params.chunks, recording.stride(*id)];
+            }
+            params.used = values.len() as u32;
+            params.first = first;
+            params.count_stride = recording.stride(count);
+            params.output_stride = recording.stride(outputs[0]);
+            first += params.chunks;
+            // Where there are fewer tensors, one is bound again.
+            let bound = INPUTS.into_iter().zip(values.iter().chain(std::iter::repeat(&values[0])));
+            let bindings: Vec<_> = [("count", count), ("output", outputs[0])]
+                .into_iter()
+                .chain(bound.map(|(name, id)| (name, *id)))
+                .collect();
+            let grid = Grid::linear(params.chunks as usize, 1).pictures(recording.batch());
+            let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
+            recording.dispatch(dispatch.variant(variant()));
+        }
         Ok(())
     }
 }

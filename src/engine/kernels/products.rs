@@ -13,7 +13,7 @@ use crate::engine::shader::Variant;
 /// Fewest lanes of a subgroup with which the shaders can do something.
 const FEWEST: u32 = 4;
 /// Most invocations of a workgroup that any adapter need have.
-const MOST: u32 = 256;
+pub(super) const MOST: u32 = 256;
 
 /// Subgroups that an adapter has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -104,7 +104,7 @@ fn cases() -> Vec<Case> {
         ("wide, as conv1", [5, 160, 160]),
         ("65 537 channels: a grid folded to two dimensions", [65_537, 1, 1]),
         ("quads side by side", STACKED),
-        ("41 rows: three chunks, the last a row short", [6, 41, 9]),
+        ("41 rows: some invocations have one less", [6, 41, 9]),
     ];
     for (i, (name, dims)) in shapes.into_iter().enumerate() {
         cases.push(Case::new(name, ChannelPool, vec![random(i as u64, dims).into()]));

@@ -30,7 +30,7 @@ pub struct GlobalAvgPool {
 }
 
 /// Names of the inputs.
-const MAPS: [&str; 3] = ["map0", "map1", "map2"];
+pub(crate) const MAPS: [&str; 3] = ["map0", "map1", "map2"];
 
 impl Op for GlobalAvgPool {
     fn entry(&self) -> &'static Entry {

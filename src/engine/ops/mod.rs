@@ -21,7 +21,7 @@ mod decode_detections;
 mod decode_pose;
 mod decode_proposals;
 pub(crate) mod gather_rows;
-mod global_avg_pool;
+pub(crate) mod global_avg_pool;
 mod indirect_grid;
 pub(crate) mod linear;
 mod max_pool2d;
@@ -29,7 +29,6 @@ pub(crate) mod nms;
 pub(crate) mod not_finite;
 mod roi_align;
 pub(crate) mod softmax;
-mod spatial_gate;
 mod spatial_pool;
 pub(crate) mod top_k;
 mod upsample_bilinear;
@@ -60,7 +59,6 @@ pub use op::{Entry, Op, Tolerance};
 pub use params::{Param, Params, Range, Setting, Settings};
 pub use roi_align::RoiAlign;
 pub use softmax::Softmax;
-pub use spatial_gate::SpatialGate;
 pub use spatial_pool::SpatialPool;
 pub use top_k::TopK;
 pub use upsample_bilinear::UpsampleBilinear;
@@ -87,7 +85,6 @@ pub static OPS: &[&Entry] = &[
     &not_finite::ENTRY,
     &roi_align::ENTRY,
     &softmax::ENTRY,
-    &spatial_gate::ENTRY,
     &spatial_pool::ENTRY,
     &top_k::ENTRY,
     &upsample_bilinear::ENTRY,

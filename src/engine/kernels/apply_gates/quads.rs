@@ -1,17 +1,19 @@
 //! On maps of four channels a texel.
 
+use super::{SPAN, SPANS};
 use crate::engine::kernels::{
     Caps, Dispatch, Grid, Io, Kernel, Layout, Recording, Work, layout, of_maps,
 };
-use crate::engine::ops::ApplyGates;
+use crate::engine::ops::{ApplyGates, Op};
 use crate::engine::shader::{Shader, Variant, shader_params};
 use crate::error::Result;
 
 shader_params! {
     struct Params {
         map: layout::Quads,
+        group_quads: u32,
         channel_gate_stride: u32,
-        spatial_gate_stride: u32,
+        pooled_stride: u32,
     }
 }
 
@@ -21,7 +23,12 @@ static SHADER: Shader = Shader {
     params: PARAMS,
 };
 
-/// Each workgroup computes eight rows of four channels.
+/// Workgroups that keep an adapter with many cores busy. Those that share pixels each compute their spatial gates.
+const ENOUGH: u32 = 128;
+/// The same of a software adapter.
+const FEW: u32 = 4;
+
+/// Each workgroup computes the spatial gates of its pixels, and goes over some quads.
 #[derive(Debug)]
 pub(in crate::engine::kernels) struct Quads;
 
@@ -53,20 +60,22 @@ impl Kernel for Quads {
     }
 
     fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
-        let _op: &ApplyGates = work.op()?;
+        let op: &ApplyGates = work.op()?;
         let map = recording.quads(inputs[0])?;
+        let spans = map.height * map.width.div_ceil(SPAN as u32);
+        let tiles = spans.div_ceil(SPANS);
+        let enough = if work.caps.has_many_cores() { ENOUGH } else { FEW };
+        let group_quads = map.quads.div_ceil(enough.div_ceil(tiles).min(map.quads));
         let params = Params {
             map,
+            group_quads,
             channel_gate_stride: recording.stride(inputs[1]),
-            spatial_gate_stride: recording.stride(inputs[2]),
+            pooled_stride: recording.stride(inputs[2]),
         };
-        let bindings = [
-            ("input", inputs[0]),
-            ("channel_gate", inputs[1]),
-            ("spatial_gate", inputs[2]),
-            ("output", outputs[0]),
-        ];
-        let grid = Grid::Workgroups([map.height.div_ceil(8), map.quads, recording.batch()]);
+        let mut bindings: Vec<_> = op.inputs().into_iter().zip(inputs.iter().copied()).collect();
+        bindings.push(("output", outputs[0]));
+        let groups = map.quads.div_ceil(group_quads);
+        let grid = Grid::Workgroups([tiles, groups, recording.batch()]);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
         recording.dispatch_maps(dispatch, inputs[0], outputs[0]);
         Ok(())

@@ -1,14 +1,13 @@
 //! On maps of four channels a texel, in registers.
 
-use super::{Sizes, join, padded_bias, weights_known};
+use super::{Sizes, padded_bias, weights_known};
 use std::borrow::Cow;
 
 use crate::engine::graph::TensorId;
-use crate::engine::kernels::products::Lanes;
+use crate::engine::kernels::products::{Lanes, MOST};
 use crate::engine::kernels::weights::{Packing, Stored};
 use crate::engine::kernels::{
-    Caps, Dispatch, Grid, Io, Kernel, Layout, MAX_WORKGROUPS, Quads, Recording, Work, all_texels,
-    texels,
+    Caps, Dispatch, Grid, Io, Kernel, Layout, MAX_WORKGROUPS, Quads, Recording, Work, texels,
 };
 use crate::engine::ops::bounds::{Joined, SumOrder};
 use crate::engine::ops::{Conv2d, Op, Tolerance};
@@ -51,8 +50,8 @@ static SHADER: Shader = Shader {
 const ENOUGH: u64 = 256;
 /// Farthest that an invocation's pixels lie apart: the farther, the more of them lie outside a small map.
 const MOST_SPACING: usize = 4;
-/// Most parts of a sum.
-const MOST_SPLITS: u64 = 8;
+/// Most slices of a workgroup that share its sums.
+const MOST_SLICES: u32 = 8;
 
 /// Taps of a row that are added together, and the inputs that they share.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,11 +73,15 @@ impl Taps {
 
     /// `weights` says how those are stored in textures; for the maps see [`Recording::dispatch_maps`].
     fn variant(self, tile: &Tile, weights: Precision, caps: &Caps) -> Variant {
-        let constants = vec![("WORKGROUP", tile.workgroup)];
+        let constants = vec![("WORKGROUP", tile.workgroup), ("SLICES", tile.slices)];
         let variant = Variant { constants, ..caps.input_variant() };
-        let variant = Lanes::variant(tile.lanes, variant).with("THREE_TAPS", self.number() == 3);
+        let (spread, split) = (tile.weights == Weights::Spread, tile.slices > 1);
+        let variant = Lanes::variant(tile.lanes.filter(|_| spread || split), variant)
+            .with("SPREAD", spread)
+            .with("SPLIT", split)
+            .with("THREE_TAPS", self.number() == 3);
         let variant = variant.with("STRIDE_TWO", self == Self::ThreeOfStrideTwo);
-        variant.with("HALF_WEIGHT", tile.lanes.is_some() && weights.is_half())
+        variant.with("HALF_WEIGHT", spread && weights.is_half())
     }
 }
 
@@ -107,8 +110,8 @@ impl Form {
         in_c.div_ceil(4).div_ceil(self.quads)
     }
 
-    /// A block's products one after the other, the blocks, then bias and residual. Parts of a split sum
-    /// have fewer blocks, at least one less for each part more.
+    /// A block's products one after the other, the blocks, then bias and residual. Slices have fewer blocks, at
+    /// least one less for each slice more.
     fn order(&self, in_c: usize, kh: usize, kw: usize) -> SumOrder {
         let (terms, parts) = (4 * self.quads * kh * kw, self.blocks(in_c));
         SumOrder { terms, parts, joined: Joined::InOrder, more: 2 }
@@ -128,9 +131,12 @@ pub(in crate::engine::kernels) enum Weights {
 /// How the invocations of a workgroup share the work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Tile {
-    /// Of [`Weights::Spread`].
+    weights: Weights,
     lanes: Option<Lanes>,
+    /// Invocations of a slice: of a workgroup, where sums are whole.
     workgroup: u32,
+    /// Slices of a workgroup.
+    slices: u32,
 }
 
 impl Tile {
@@ -139,17 +145,23 @@ impl Tile {
     /// Pixels of an invocation.
     const PIXELS: usize = 4;
 
-    /// `None` where weights are to be spread and there are no subgroups.
-    fn of(weights: Weights, caps: &Caps) -> Option<Self> {
-        match weights {
-            Weights::Scalar => {
-                Some(Self { lanes: None, workgroup: caps.subgroup_min.clamp(32, 64) })
-            }
-            Weights::Spread => {
-                let lanes = Lanes::of(caps)?;
-                Some(Self { lanes: Some(lanes), workgroup: lanes.workgroup })
-            }
-        }
+    /// Those of a kernel, of few slices first. None where weights are to be spread and there are no subgroups, and
+    /// where a workgroup has no room for two slices.
+    fn all(Direct { weights, split }: Direct, caps: &Caps) -> impl Iterator<Item = Self> + Clone {
+        let lanes = Lanes::of(caps);
+        let workgroup = match (weights, lanes) {
+            // A slice is whole subgroups, so that each has one address.
+            (Weights::Scalar, Some(lanes)) if split => Some(lanes.workgroup),
+            (Weights::Scalar, _) => Some(caps.subgroup_min.clamp(32, 64)),
+            (Weights::Spread, lanes) => lanes.map(|lanes| lanes.workgroup),
+        };
+        workgroup.into_iter().flat_map(move |workgroup| {
+            let most = MOST_SLICES.min(MOST / workgroup);
+            let slices = if split { [most / 2, most] } else { [0, 1] };
+            let fits = move |slices: &u32| if split { *slices > 1 } else { *slices == 1 };
+            let of = move |slices| Self { weights, lanes, workgroup, slices };
+            slices.into_iter().filter(fits).map(of)
+        })
     }
 }
 
@@ -161,16 +173,16 @@ struct Plan {
     tile: Tile,
     /// Groups of pixels in a row of outputs.
     strips: u32,
-    /// Workgroups for one picture, its sums whole.
+    /// Workgroups for one picture.
     busy: u64,
-    /// Workgroups for the strips of all pictures, for the channels, and for the parts of sums.
-    grid: [u32; 3],
+    /// Workgroups for the strips of all pictures, and for the channels.
+    grid: [u32; 2],
     /// Columns and rows of the packed weights.
     texels: [usize; 2],
     split_blocks: u32,
 }
 
-/// What a plan is bound to; bias and residual are no part of it where sums are cut into parts.
+/// What a plan is bound to.
 struct Bound {
     input: TensorId,
     weight: Stored,
@@ -185,14 +197,19 @@ impl Plan {
     /// `None` for weights that fit no texture, for a grid past any adapter's limits, and without the subgroups
     /// that it needs.
     fn of(op: &Conv2d, sizes: Sizes, kernel: Direct, work: &Work) -> Option<Self> {
-        let Direct { weights, split } = kernel;
+        let weights = kernel.weights;
         let Sizes { in_c, out_c, kh, kw, out_h, out_w } = sizes;
-        let (form, tile) = (Form::of(op, in_c, kh, kw), Tile::of(weights, work.caps)?);
+        let form = Form::of(op, in_c, kh, kw);
+        let blocks = u32::try_from(form.blocks(in_c)).ok()?;
+        let fitting = Tile::all(kernel, work.caps).filter(|tile| tile.slices <= blocks.max(1));
+        let workgroup = fitting.clone().next()?.workgroup as usize;
         let strips = out_w.div_ceil(Tile::PIXELS * form.spacing) * form.spacing;
         let tiles = out_c.div_ceil(Tile::CHANNELS);
-        let across =
-            |pictures: usize| (pictures * strips * out_h).div_ceil(tile.workgroup as usize);
+        let across = |pictures: usize| (pictures * strips * out_h).div_ceil(workgroup);
         let busy = across(1) as u64 * tiles as u64;
+        // By one picture: the order of its sums must not depend on the rest of its batch.
+        let keeps_busy = |tile: &Tile| busy * u64::from(tile.slices) >= ENOUGH;
+        let tile = fitting.clone().find(keeps_busy).or(fitting.last())?;
 
         let all = packed_texels(&sizes, &form);
         let texels = match weights {
@@ -214,25 +231,13 @@ impl Plan {
             }
         };
 
-        let blocks = u32::try_from(form.blocks(in_c)).ok()?;
-        // The order of a picture's sums must not depend on the rest of its batch.
-        let splits = match split {
-            true => ENOUGH.div_ceil(busy).clamp(2, MOST_SPLITS) as u32,
-            false => 1,
-        };
-        let split_blocks = blocks.div_ceil(splits);
-        let splits = blocks.div_ceil(split_blocks) as usize;
-        let grid = [across(work.batch as usize), tiles, splits];
+        let grid = [across(work.batch as usize), tiles];
         if grid.into_iter().any(|n| n > MAX_WORKGROUPS as usize) {
             return None;
         }
-        let [strips, grid @ ..] = [strips, grid[0], grid[1], grid[2]].map(|n| n as u32);
+        let [strips, grid @ ..] = [strips, grid[0], grid[1]].map(|n| n as u32);
+        let split_blocks = blocks.div_ceil(tile.slices);
         Some(Self { sizes, form, tile, strips, busy, grid, texels, split_blocks })
-    }
-
-    /// Parts of each sum.
-    fn splits(&self) -> u32 {
-        self.grid[2]
     }
 
     /// Adds the weights that `transform` makes of `weight`, whose outputs it repeats `copies` times; in
@@ -253,9 +258,9 @@ impl Plan {
             copies,
             pack: move |w: &Tensor| pack_weight(&transform(w), &form, [width, height]),
         };
-        match tile.lanes {
-            Some(_) => packing.record(recording, name, weight, precision),
-            None => packing.record_buffer(recording, name, weight),
+        match tile.weights {
+            Weights::Spread => packing.record(recording, name, weight, precision),
+            Weights::Scalar => packing.record_buffer(recording, name, weight),
         }
     }
 
@@ -269,7 +274,6 @@ impl Plan {
         groups: u32,
     ) -> Result<()> {
         let Self { sizes, form, tile, grid, .. } = *self;
-        let whole = self.splits() == 1;
         let input = recording.quads(bound.input)?;
         let params = Params {
             input,
@@ -287,8 +291,8 @@ impl Plan {
             weight_width: self.texels[0] as u32,
             group_tiles: grid[1] / groups,
             group_quads: input.quads / groups,
-            has_residual: u32::from(op.residual && whole),
-            relu: u32::from(op.relu && whole),
+            has_residual: u32::from(op.residual),
+            relu: u32::from(op.relu),
             block_quads: form.quads as u32,
         };
         let bindings = [
@@ -299,7 +303,7 @@ impl Plan {
             ("output", bound.output),
         ];
         let bindings = bound.weight.scaled(&bindings);
-        let grid = Grid::Workgroups(grid);
+        let grid = Grid::Workgroups([grid[0], grid[1], 1]);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
         let precision = recording.info(bound.weight.texels).precision;
         let variant = form.taps.variant(&tile, precision, recording.caps());
@@ -337,21 +341,16 @@ fn pack_weight(weight: &Tensor, form: &Form, [width, height]: [usize; 2]) -> Ten
 #[derive(Clone, Copy, Debug)]
 pub(in crate::engine::kernels) struct Direct {
     pub weights: Weights,
-    /// Whether sums are cut into parts, for adapters that a small map leaves idle.
+    /// Whether sums are cut into slices, for adapters that a small map leaves idle.
     pub split: bool,
 }
 
 impl Direct {
     fn plan(&self, work: &Work) -> Option<Plan> {
         let op: &Conv2d = work.op().ok()?;
-        let plan = Plan::of(op, Sizes::of(op, work), *self, work)?;
-        // Each part of a split sum is a map like the output.
-        let parts = work.quads(&work.outputs[0])?.most_bytes(work.batch) * u64::from(plan.splits());
-        let fits = weights_known(op, work.known)
-            && work.has_quads(&work.inputs[0])
-            && parts <= work.caps.buffer_bytes
-            && (plan.splits() > 1) == self.split;
-        fits.then_some(plan)
+        let maps = [&work.inputs[0], &work.outputs[0]];
+        let fits = weights_known(op, work.known) && maps.iter().all(|map| work.has_quads(map));
+        fits.then(|| Plan::of(op, Sizes::of(op, work), *self, work)).flatten()
     }
 }
 
@@ -366,16 +365,15 @@ impl Kernel for Direct {
     }
 
     fn shaders(&self, caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        let Some(tile) = Tile::of(self.weights, caps) else { return Vec::new() };
         use Precision::{F16, F32};
-        // Weights, what is read, and what is written; the last for the parts of a sum.
+        // Weights, what is read, and what is written.
         let stored = [(F32, F32, F32), (F16, F16, F16), (F16, F16, F32), (F16, F32, F32)];
-        let direct = Taps::ALL.into_iter().flat_map(|taps| {
+        let of = |tile: Tile, taps: Taps| {
             stored.map(|(w, read, written)| texels(taps.variant(&tile, w, caps), read, written))
-        });
-        let join = self.split.then(|| all_texels(&Variant::default()));
-        let join = join.into_iter().flatten().map(|variant| (&join::SHADER, variant));
-        direct.map(|variant| (&SHADER, variant)).chain(join).collect()
+        };
+        let all = Tile::all(*self, caps)
+            .flat_map(|tile| Taps::ALL.into_iter().flat_map(move |taps| of(tile, taps)));
+        all.map(|variant| (&SHADER, variant)).collect()
     }
 
     fn fits(&self, work: &Work) -> bool {
@@ -422,25 +420,8 @@ impl Kernel for Direct {
         // Any readable buffer serves where there is no residual: it is not read.
         let residual = residual.copied().unwrap_or(bias);
         let (to, output) = (recording.quads(outputs[0])?, outputs[0]);
-        if !self.split {
-            let bound = Bound { input, weight, bias, residual, output, to };
-            return plan.dispatch(op, recording, &bound, 1);
-        }
-        let zeros = Tensor::<f32>::zeros([out_c.next_multiple_of(Tile::CHANNELS)]);
-        let zeros = recording.constant(format!("{name} (no bias)"), zeros);
-        let floats = to.texels() as usize * 4 * plan.splits() as usize;
-        let parts = recording.scratch("parts", TensorSpec::f32([floats]));
-        let bound = Bound { input, weight, bias: zeros, residual, output: parts, to };
-        plan.dispatch(op, recording, &bound, 1)?;
-        join::record(
-            op,
-            recording,
-            work.precision,
-            plan.splits(),
-            [parts, bias, residual, output],
-            to,
-        );
-        Ok(())
+        let bound = Bound { input, weight, bias, residual, output, to };
+        plan.dispatch(op, recording, &bound, 1)
     }
 
     fn tolerance(
@@ -566,13 +547,13 @@ mod tests {
         assert_eq!(of(1, 2, 1, 64), form(Taps::One, 1, 8));
     }
 
-    /// 64 channels of a pixel are 256 bytes. To as many they are summed in two parts.
+    /// 64 channels of a pixel are 256 bytes; as 1 × 1 they are two blocks of sums.
     #[test]
-    fn all_parts_fit_a_buffer() {
-        let fits = |split, buffer_bytes| {
-            let caps = Caps { buffer_bytes, ..Caps::default() }.with_subgroups([32, 32]);
+    fn maps_fit_buffers_and_slices_fit_workgroups() {
+        let fits = |split, subgroups, buffer_bytes| {
+            let caps = Caps { buffer_bytes, ..Caps::default() }.with_subgroups(subgroups);
             let inputs = [TensorSpec::f32([64, 1, 1]), TensorSpec::f32([64, 64, 1, 1])];
-            Direct { weights: Weights::Spread, split }.fits(&Work {
+            let work = Work {
                 node: 0,
                 op: &Conv2d { bias: false, ..Conv2d::default() },
                 inputs: &inputs,
@@ -581,20 +562,26 @@ mod tests {
                 batch: 1,
                 precision: Precision::F32,
                 caps: &caps,
-            })
+            };
+            Direct { weights: Weights::Spread, split }.plan(&work).map(|plan| plan.tile.slices)
         };
-        assert!(fits(true, 512) && !fits(true, 511));
-        assert!(fits(false, 256) && !fits(false, 255));
+        assert_eq!(fits(true, [32, 32], 256), None, "at least four slices");
+        assert_eq!(fits(true, [64, 64], 256), Some(2));
+        assert_eq!(fits(false, [32, 32], 256), Some(1));
+        assert_eq!(fits(false, [32, 32], 255), None);
+        assert_eq!(fits(true, [64, 128], 256), Some(2));
+        assert_eq!(fits(true, [128, 256], 256), None, "two slices are 512 invocations");
+        assert_eq!(fits(true, [0, 0], 256), None);
     }
 
-    /// Cut into parts, a sum is no deeper than whole.
+    /// Cut into slices, a sum is no deeper than whole.
     #[test]
-    fn parts_make_sums_no_deeper() {
-        for blocks in 1u64..200 {
-            for splits in 2..=MOST_SPLITS {
-                let each = blocks.div_ceil(splits);
-                let splits = blocks.div_ceil(each);
-                assert!(each - 1 + splits - 1 < blocks, "{blocks} in {splits}");
+    fn slices_make_sums_no_deeper() {
+        for blocks in 2u32..200 {
+            for slices in 2..=MOST_SLICES.min(blocks) {
+                let each = blocks.div_ceil(slices);
+                let filled = blocks.div_ceil(each);
+                assert!(each - 1 + filled - 1 < blocks, "{blocks} in {slices}");
             }
         }
     }

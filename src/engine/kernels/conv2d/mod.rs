@@ -1,7 +1,6 @@
 //! 2-D convolution with bias, optional residual and ReLU.
 
 mod direct;
-mod join;
 mod planar;
 mod winograd;
 

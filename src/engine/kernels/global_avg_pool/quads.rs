@@ -1,9 +1,11 @@
 //! On maps of four channels a texel.
 
+use bytemuck::Zeroable;
+
 use crate::engine::kernels::{
-    Caps, Dispatch, Grid, Io, Kernel, Layout, Recording, Work, layout, of_maps,
+    Caps, Dispatch, Grid, Io, Kernel, Layout, MAX_WORKGROUPS, Recording, Work, layout, over_space,
 };
-use crate::engine::ops::bounds::SumOrder;
+use crate::engine::ops::global_avg_pool::MAPS;
 use crate::engine::ops::{GlobalAvgPool, Op, Tolerance};
 use crate::engine::precision::Precision;
 use crate::engine::shader::{Shader, Variant, shader_params};
@@ -12,8 +14,8 @@ use crate::error::Result;
 
 shader_params! {
     struct Params {
-        map: layout::Quads,
-        first: u32,
+        maps: [layout::Quads; MAPS.len()],
+        used: u32,
         output_stride: u32,
     }
 }
@@ -24,7 +26,7 @@ static SHADER: Shader = Shader {
     params: PARAMS,
 };
 
-/// Each workgroup goes over 32 channels.
+/// Each workgroup goes over four channels.
 #[derive(Debug)]
 pub(in crate::engine::kernels) struct Quads;
 
@@ -33,12 +35,14 @@ impl Kernel for Quads {
         "global_avg_pool/quads"
     }
 
-    fn shaders(&self, _caps: &Caps) -> Vec<(&'static Shader, Variant)> {
-        of_maps(&SHADER)
+    fn shaders(&self, caps: &Caps) -> Vec<(&'static Shader, Variant)> {
+        over_space::shaders(&SHADER, caps)
     }
 
     fn fits(&self, work: &Work) -> bool {
-        work.inputs.iter().all(|map| work.has_quads(map))
+        // A grid has so many quads on a side.
+        let quads = work.inputs.iter().map(|map| work.quads(map).map(|map| map.quads));
+        quads.sum::<Option<u32>>().is_some_and(|quads| quads <= MAX_WORKGROUPS)
     }
 
     fn reads(&self, _work: &Work, _index: usize) -> Layout {
@@ -51,17 +55,23 @@ impl Kernel for Quads {
 
     fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
         let _op: &GlobalAvgPool = work.op()?;
-        let mut first = 0;
-        for input in inputs {
-            let map = recording.quads(*input)?;
-            let output_stride = recording.stride(outputs[0]);
-            let params = Params { map, first, output_stride };
-            let bindings = [("input", *input), ("output", outputs[0])];
-            let grid = Grid::Workgroups([1, map.quads.div_ceil(8), recording.batch()]);
-            let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
-            recording.dispatch_maps(dispatch, *input, outputs[0]);
-            first += map.channels;
+        let mut params = Params::zeroed();
+        params.used = inputs.len() as u32;
+        params.output_stride = recording.stride(outputs[0]);
+        let mut quads = 0;
+        for (map, input) in params.maps.iter_mut().zip(inputs) {
+            *map = recording.quads(*input)?;
+            quads += map.quads;
         }
+        // Where there are fewer maps, one is bound again.
+        let maps = inputs.iter().chain(std::iter::repeat(&inputs[0]));
+        let maps = MAPS.into_iter().zip(maps.copied());
+        let bindings: Vec<_> = maps.chain([("output", outputs[0])]).collect();
+        let grid =
+            Grid::Workgroups([over_space::workgroups(quads, work.caps), 1, recording.batch()]);
+        let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
+        let dispatch = dispatch.variant(over_space::variant(work.caps));
+        recording.dispatch_maps(dispatch, inputs[0], outputs[0]);
         Ok(())
     }
 
@@ -72,9 +82,6 @@ impl Kernel for Quads {
         _reference: &[Value],
         _precision: Precision,
     ) -> Result<Option<Vec<Tolerance>>> {
-        // A part of a row, the rows, the eight parts.
-        let order =
-            |height: usize, width: usize| SumOrder::nested(width.div_ceil(8), [height, 8, 1]);
-        GlobalAvgPool::averaged(inputs, order).map(Some)
+        GlobalAvgPool::averaged(inputs, over_space::order).map(Some)
     }
 }

@@ -1,7 +1,7 @@
 //! As a product of matrices, in registers.
 
 use crate::engine::kernels::count::{count_tensor, row_grid};
-use crate::engine::kernels::products::Lanes;
+use crate::engine::kernels::products::{Lanes, MOST};
 use crate::engine::kernels::weights::Packing;
 use crate::engine::kernels::{Caps, Dispatch, Io, Kernel, MAX_WORKGROUPS, Recording, Work};
 use crate::engine::ops::bounds::{magnitude, moved_sum};
@@ -22,8 +22,8 @@ shader_params! {
         outputs: u32,
         slices: u32,
         slice_quads: u32,
+        rounds: u32,
         weight_width: u32,
-        tiles: u32,
         relu: u32,
         zero: u32,
     }
@@ -39,12 +39,18 @@ static SHADER: Shader = Shader {
 const ROWS: u32 = 16;
 /// Outputs that one invocation computes.
 const OUTPUTS: usize = 4;
-/// Invocations of a workgroup of `finish`.
-const FINISH: u32 = 64;
+/// Most slices of a workgroup.
+const MOST_SLICES: u32 = 8;
 
-fn variant(lanes: Lanes, inner: usize, weights: Precision) -> Variant {
-    let variant = Variant::of(&[("WORKGROUP", lanes.workgroup)]);
+/// Slices that a workgroup sums side by side: on an adapter with few cores, which keep busy anyway, one.
+fn side_by_side(lanes: Lanes, caps: &Caps) -> u32 {
+    if caps.has_many_cores() { MOST_SLICES.min(MOST / lanes.workgroup) } else { 1 }
+}
+
+fn variant(lanes: Lanes, slices: u32, inner: usize, weights: Precision) -> Variant {
+    let variant = Variant::of(&[("WORKGROUP", lanes.workgroup), ("SLICES", slices)]);
     Lanes::variant(Some(lanes), variant)
+        .with("SPLIT", slices > 1)
         .with("ALIGNED", inner.is_multiple_of(4))
         .with("HALF_WEIGHT", weights.is_half())
 }
@@ -65,8 +71,7 @@ struct Plan {
 }
 
 impl Plan {
-    /// `None` without subgroups, for weights that fit no texture, and for more rows than a buffer has
-    /// room for with the outputs of whole tiles.
+    /// `None` without subgroups, and for weights that fit no texture.
     fn of(work: &Work) -> Option<Self> {
         let lanes = Lanes::of(work.caps)?;
         let [outputs, inner] = [0, 1].map(|i| work.inputs[1].shape.0[i]);
@@ -76,11 +81,9 @@ impl Plan {
         let side = work.caps.texture_side as usize;
         let all = tiles * tile * slices * slice_quads;
         let width = (side / tile * tile).min(all);
-        let partials = 4 * (slices * rows(&work.inputs[0].shape) * tiles * tile) as u64;
         let fits = width > 0
-            && partials <= work.caps.buffer_bytes
             && all.div_ceil(width.max(1)) <= side
-            && tiles * slices <= MAX_WORKGROUPS as usize
+            && tiles <= MAX_WORKGROUPS as usize
             && work.known[1]
             && work.known[2];
         let texels = [width, all.div_ceil(width.max(1))];
@@ -118,7 +121,9 @@ impl Kernel for Gemm {
         let all = [4, 1]
             .into_iter()
             .flat_map(|inner| [Precision::F32, Precision::F16].map(|weights| (inner, weights)));
-        let all = all.flat_map(|(inner, weights)| lanes.map(|l| variant(l, inner, weights)));
+        let all = all.flat_map(|(inner, weights)| {
+            lanes.map(|l| variant(l, side_by_side(l, caps), inner, weights))
+        });
         all.map(|variant| (&SHADER, variant)).collect()
     }
 
@@ -135,11 +140,9 @@ impl Kernel for Gemm {
         let op: &Linear = work.op()?;
         let none = || Error::tensor(op.name(), "weight", "one that fits a texture", "a larger one");
         let plan = Plan::of(work).ok_or_else(none)?;
-        let Plan { tile, tiles, slices, slice_quads, texels: [width, height], .. } = plan;
+        let Plan { lanes, tiles, slices, slice_quads, texels: [width, height], .. } = plan;
         let name = recording.info(inputs[1]).name.clone();
         let rows = rows(&work.inputs[0].shape);
-        let padded = tiles * tile;
-
         let weight = recording.weights(op.name(), inputs[1])?;
         let packing = Packing {
             texels: TensorSpec::f32([height, width, 4]),
@@ -151,9 +154,9 @@ impl Kernel for Gemm {
         let weight = packing.record(recording, &name, &weight, work.precision);
         let bias = recording.weights(op.name(), inputs[2])?;
         let bias = recording.constant(format!("{name} (bias)"), bias);
-        let partials = recording.scratch("partials", TensorSpec::f32([slices, rows, padded]));
         let given = inputs.get(3).copied();
         let count = count_tensor(recording, given, rows);
+        let side = side_by_side(lanes, work.caps);
         let params = Params {
             rows: rows as u32,
             inner: plan.inner as u32,
@@ -161,26 +164,22 @@ impl Kernel for Gemm {
             outputs: plan.outputs as u32,
             slices: slices as u32,
             slice_quads: slice_quads as u32,
+            rounds: (slices as u32).div_ceil(side),
             weight_width: width as u32,
-            tiles: tiles as u32,
             relu: u32::from(op.relu),
             zero: 0,
         };
-        let variant = variant(plan.lanes, plan.inner, work.precision);
-
-        let grid = row_grid(recording, given, rows, [1, tiles * slices], ROWS)?;
-        let texels = weight.texels;
-        let bindings =
-            [("count", count), ("input", inputs[0]), ("weight", texels), ("partials", partials)];
-        let partial = Dispatch::new(&SHADER, "partial", &params, &bindings, grid);
-        recording.dispatch(partial.variant(variant.clone()));
-
-        let grid = row_grid(recording, given, rows, [plan.outputs, 1], FINISH)?;
-        let bindings =
-            [("count", count), ("partials", partials), ("bias", bias), ("output", outputs[0])];
+        let grid = row_grid(recording, given, rows, [1, tiles], ROWS)?;
+        let bindings = [
+            ("count", count),
+            ("input", inputs[0]),
+            ("weight", weight.texels),
+            ("bias", bias),
+            ("output", outputs[0]),
+        ];
         let bindings = weight.scaled(&bindings);
-        let finish = Dispatch::new(&SHADER, "finish", &params, &bindings, grid);
-        recording.dispatch(finish.variant(variant));
+        let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
+        recording.dispatch(dispatch.variant(variant(lanes, side, plan.inner, work.precision)));
         Ok(())
     }
 
@@ -216,31 +215,6 @@ fn moved(inputs: &[&Value]) -> Result<Vec<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// One output of a row takes a whole tile, of four outputs an invocation.
-    #[test]
-    fn sums_fit_a_buffer() {
-        let fits = |rows: usize, lanes: u32| {
-            let caps = Caps::default().with_subgroups([4, lanes]);
-            let inputs =
-                [TensorSpec::f32([rows, 1]), TensorSpec::f32([1, 1]), TensorSpec::f32([1])];
-            Plan::of(&Work {
-                node: 0,
-                op: &Linear::default(),
-                inputs: &inputs,
-                known: &[false, true, true],
-                outputs: &[],
-                batch: 1,
-                precision: Precision::F32,
-                caps: &caps,
-            })
-            .is_some()
-        };
-        // 128 MiB are 2^18 rows of 128 sums.
-        assert!(fits(1 << 18, 32));
-        assert!(!fits((1 << 18) + 1, 32));
-        assert!(fits(524_289, 8));
-    }
 
     /// 33 outputs of 5 inputs for 8 lanes: output o of input k is 10o + k + 1.
     #[test]

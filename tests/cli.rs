@@ -285,7 +285,7 @@ fn a_device_that_takes_too_long_is_told_from_a_bad_picture() {
     fs::write(folder.path().join("annotations.json"), labels.to_string()).expect("written");
     for command in [
         &["detect", "one.png", "two.png", "--exact", "--device", "gpu"][..],
-        &["compare", "one.png", "two.png"],
+        &["compare", "one.png", "two.png", "--device", "gpu"],
         &["eval", "--data", ".", "--exact", "--device", "gpu"],
     ] {
         let ran = run(folder.path(), &[command, &["--timeout", "0"]].concat()).expect(5);
@@ -414,7 +414,7 @@ fn a_driver_that_crashes_takes_nothing_with_it() {
     run(&["devices"]).expect(4).tells(told);
     run(&["check", "softmax", "--device", "0"]).expect(4).tells(told);
     run(&["bench"]).expect(4).tells(told);
-    run(&["compare", "x.png"]).expect(4).tells(told);
+    run(&["compare", "x.png", "--device", "gpu"]).expect(4).tells(told);
 }
 
 #[cfg(target_os = "linux")]
@@ -649,7 +649,8 @@ fn the_network_is_held_to_its_reference_on_a_picture() {
     let folder = folder();
     let sample = concat!(env!("CARGO_MANIFEST_DIR"), "/samples/mixed.png");
     // A small input, for speed.
-    let ran = run(folder.path(), &["compare", sample, "--size", "96"]).expect(0);
+    let gpu = ["compare", sample, "--size", "96", "--device", "gpu"];
+    let ran = run(folder.path(), &gpu).expect(0);
     let stages = ["input", "backbone.conv1", "fusion", "rpn", "roi_head", "detections"];
     for stage in stages {
         assert!(ran.stdout.lines().any(|l| l.starts_with(stage)), "no {stage} in\n{}", ran.stdout);
@@ -668,7 +669,10 @@ fn the_network_is_held_to_its_reference_on_a_picture() {
     assert_eq!(record["failures"], serde_json::json!([]));
     let shares = record["stages"].as_array().expect("stages").iter().map(|s| s["share"].as_f64());
     assert!(shares.clone().count() >= 10 && shares.flatten().all(|s| s <= 1.0), "{record}");
-    run(folder.path(), &["compare", sample, "--device", "cpu"]).expect(2).tells("expected a GPU");
+    let reference = run(folder.path(), &["compare", sample, "--device", "reference"]);
+    reference.expect(2).tells("expected what is held to the reference");
+    let cores = run(folder.path(), &["compare", sample, "--size", "96", "--device", "cpu"]);
+    assert!(cores.expect(0).stdout.contains("scores within"));
     run(folder.path(), &["compare", sample, "--size", "100"]).expect(2).tells("multiple of 32");
     run(folder.path(), &["compare", "none.png"]).expect(1).tells("none.png");
 }

@@ -81,6 +81,7 @@ const LEGAL: &[(&str, &str, &[&str])] = &[
     ("top_k", "k", &["4294967295"]),
     ("upsample_bilinear", "out_height", &[]),
     ("upsample_bilinear", "out_width", &[]),
+    ("not_finite", "values", &[]),
     ("weighted_sum", "maps", &[]),
 ];
 

@@ -22,6 +22,9 @@ use smr_gpu::{Config, Device, Error, Frame, GpuDetector, Precision, Savings, Wei
 const STAGE_BOUND: f64 = 1e-5;
 /// The same in f16, whose numbers are up to 4.9e-4 off: about ten layers that each add as much.
 const HALF_STAGE_BOUND: f64 = 5e-3;
+/// The same in bf16, and in products of 8 bits.
+const BF16_STAGE_BOUND: f64 = 0.1;
+const INT8_STAGE_BOUND: f64 = 0.3;
 /// What a relative error of 1e-5 makes of a logit of 10, and so at most of a score.
 const SCORE: f32 = 1e-4;
 /// The same of a box's deltas, on 300 picture pixels, and of the box that they refer to.
@@ -165,6 +168,33 @@ fn f16_matches_the_f64_network_on_a_sample() {
     let (found, expected) = (&comparison.found, &comparison.expected);
     assert!(!expected.detections.is_empty(), "the sample shows a snap");
     assert_eq!(found.detections.len(), expected.detections.len());
+}
+
+/// What cores multiply, they multiply right: each operation is within its bound on what it read, rounded as the
+/// precision says.
+#[test]
+fn cores_match_the_f64_network_in_each_precision() {
+    for (precision, most) in [
+        (Precision::F32, STAGE_BOUND),
+        (Precision::Bf16, BF16_STAGE_BOUND),
+        (Precision::Int8, INT8_STAGE_BOUND),
+    ] {
+        let cores = detector(Device::Cpu, |c| c.precision = precision);
+        let comparison =
+            verify::compare(&cores, &Frame::from(&first_sample())).expect("a comparison");
+        assert_eq!(comparison.failures().collect::<Vec<_>>(), [""; 0], "{precision}");
+        // Where these cores do not multiply it, they compute as ever.
+        assert!([precision, Precision::F32].contains(&comparison.found.precision));
+        for stage in &comparison.stages {
+            println!("{precision} {} {:?}", stage.stage, stage.drift());
+            assert!(stage.share() <= 1.0 && stage.bias().is_none_or(|b| b <= 1.0), "{stage:?}");
+            let drift = stage.drift().unwrap_or(0.0);
+            assert!(drift <= most, "{precision}, {}: {drift:e}", stage.stage);
+        }
+        let (found, expected) = (&comparison.found, &comparison.expected);
+        assert!(!expected.detections.is_empty(), "the sample shows a snap");
+        assert_eq!(found.detections.len(), expected.detections.len(), "{precision}");
+    }
 }
 
 /// Kernels that read planar maps make those before them store f32 in a program of f16: the maps of both lie

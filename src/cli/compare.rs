@@ -7,7 +7,7 @@ use serde::Serialize;
 use smr_gpu::verify::{self, Comparison};
 use smr_gpu::{Device, Frame, GpuDetector, Savings, Scale};
 
-use super::detector::{self, AdapterArgs, Assumed, BoxArgs, NetworkArgs, fraction};
+use super::detector::{self, Assumed, BoxArgs, DeviceArgs, NetworkArgs, fraction};
 use super::exit::{Exit, Failure};
 use super::message::{remark, tell};
 use super::output::{count, json_line, line};
@@ -18,7 +18,7 @@ use super::source::{Source, column_width, expand_all};
 const EXAMPLES: &str = "\
 Examples:
   smr-gpu compare picture.png
-  smr-gpu compare in/ --precision f16
+  smr-gpu compare in/ --device cpu --precision int8
   smr-gpu compare picture.png --weights small --json";
 
 /// Is the whole network right on my pictures? Compare it with its f64 reference
@@ -49,7 +49,7 @@ pub(super) struct Args {
     boxes: BoxArgs,
 
     #[command(flatten)]
-    device: AdapterArgs,
+    device: DeviceArgs,
 }
 
 /// One picture's comparison, as `--json` prints it. An infinite number is null.
@@ -83,9 +83,12 @@ struct Stage<'a> {
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
+    if args.device.device == Device::Reference {
+        return Err(Failure::usage("--device: expected what is held to the reference, got it"));
+    }
     let (sources, mut exit) = expand_all(&args.sources, false)?;
     let mut config = args.network.config(Savings::NONE)?;
-    config.device = Device::Gpu(args.device.choice()?);
+    config.device = args.device.device.clone();
     if sources.is_empty() {
         return Ok(exit);
     }
@@ -93,7 +96,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
     config.iou = args.boxes.iou;
     config.keep_stages = true;
     let detector = detector::open(config)?;
-    remark(format!("{} against the CPU reference (f64)", detector.adapter()));
+    remark(format!("{} against the f64 reference", detector.adapter()));
     let alone = sources.len() == 1;
     if !alone && !args.json {
         heading(&sources)?;
@@ -168,9 +171,9 @@ fn record<'a>(
 
 /// The table of one picture: a line a stage.
 fn report(comparison: &Comparison) -> Result<(), Failure> {
-    let [stage, gpu, cpu] = ["stage", "GPU ms", "CPU ms"];
+    let [stage, device, reference] = ["stage", "ms", "f64 ms"];
     line(format!(
-        "{stage:<20}  {gpu:>8}  {cpu:>8}  {:>8}  {:>8}  {:>8}",
+        "{stage:<20}  {device:>8}  {reference:>8}  {:>8}  {:>8}  {:>8}",
         "error", "bias", "drift"
     ))?;
     let number = |value: Option<f64>, digits: usize| match value {

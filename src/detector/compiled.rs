@@ -2,6 +2,8 @@
 
 use crate::detector::Config;
 use crate::detector::runner::{Given, On, Runner};
+#[cfg(feature = "cpu")]
+use crate::engine::cpu::CpuPlan;
 use crate::engine::gpu::{Deadline, Gpu, Inputs, Program};
 use crate::engine::graph::{StageTime, TensorId, Values};
 use crate::engine::lower::KernelChoice;
@@ -36,6 +38,12 @@ impl Compiled {
             network.graph.forget_constants();
         }
         Ok(Self { network, runner, keep })
+    }
+
+    /// What runs it on cores; `None` for a GPU and for the reference.
+    #[cfg(feature = "cpu")]
+    pub fn plan(&self) -> Option<&CpuPlan> {
+        self.runner.plan()
     }
 
     /// What runs it on a GPU; `None` for the CPU.

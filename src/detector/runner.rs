@@ -127,6 +127,15 @@ impl Runner {
         })
     }
 
+    /// What runs the graph on cores; `None` for a GPU and for the reference.
+    #[cfg(feature = "cpu")]
+    pub fn plan(&self) -> Option<&CpuPlan> {
+        match self {
+            Self::Cpu(plan, _) => Some(plan),
+            _ => None,
+        }
+    }
+
     /// What runs the graph on a GPU; `None` for the CPU.
     pub fn program(&self) -> Option<&Program> {
         match self {

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 #[cfg(feature = "cpu")]
-use crate::engine::cpu::{CpuPlan, in_8_bits, multiplies};
+use crate::engine::cpu::{CpuPlan, multiplies};
 use crate::engine::gpu::{Deadline, Gpu, Poison, Profile, Program, ProgramOptions, Slot};
 use crate::engine::graph::{Graph, TensorId};
 use crate::engine::kernels::{self, Kernel, Layout, Work};
@@ -21,6 +21,9 @@ use crate::engine::precision::Precision;
 use crate::engine::shape::{Extent, TensorSpec};
 use crate::engine::tensor::{Tensor, Value};
 use crate::error::{Error, Result};
+use crate::verify::rounded::in_half;
+#[cfg(feature = "cpu")]
+use crate::verify::rounded::multiplied;
 
 /// What is held to the references.
 #[derive(Clone, Debug)]
@@ -316,23 +319,9 @@ fn on_cores(case: &Case, precision: Precision) -> Option<Cow<'_, Case>> {
         return None;
     }
     let rounded = rounded(case, precision, |index, tensor| {
-        let is_weight = match case.op.inputs()[index] {
-            "input" => false,
-            "weight" => true,
-            _ => return Some(tensor.clone()),
-        };
-        if precision != Precision::Int8 {
-            return in_half(tensor, precision);
-        }
-        // By the scales of each output's weights, of each row of a layer's input or a convolution's whole map.
-        let groups = match (is_weight, case.op.name()) {
-            (true, _) => tensor.dims()[0],
-            (false, "conv2d") => 1,
-            (false, _) => crate::engine::ops::linear::rows(tensor.shape()),
-        };
-        let group = tensor.data().len() / groups.max(1);
-        // Twice: where none that is left is negative, the scale is another.
-        in_8_bits(&in_8_bits(tensor, group, is_weight)?, group, is_weight)
+        // Twice: where no number of 8 bits that is left is negative, the scale is another.
+        let once = multiplied(case.op.as_ref(), index, tensor, precision)?;
+        multiplied(case.op.as_ref(), index, &once, precision)
     });
     rounded.map(Cow::Owned)
 }
@@ -361,14 +350,14 @@ fn check_on_cores(expected: &Expected, precision: Precision) -> Result<Option<Re
     let outputs = graph.apply_shared(&case.name, case.op.clone(), &inputs)?;
     outputs.iter().for_each(|id| graph.mark_output(*id));
     let plan = CpuPlan::new(&graph, &[], None, precision)?;
-    if precision != Precision::F32 && !plan.multiplies_in(precision) {
+    if plan.precision(0) != precision {
         return Ok(None);
     }
     plan.poison();
     let (mut values, _) = plan.run(&graph, &given)?;
     let known: Vec<Value> = outputs.iter().filter_map(|id| values.remove(id)).collect();
     let inputs: Vec<&Value> = case.inputs.iter().collect();
-    let own = plan.tolerance(&inputs)?.map(|bounds| vec![Tolerance::Each(bounds)]);
+    let own = plan.tolerance(0, &inputs)?.map(|bounds| vec![Tolerance::Each(bounds)]);
     Ok(Some(expected.judge(&known, own.filter(|_| !case.exact))))
 }
 
@@ -416,14 +405,6 @@ fn rounded(
         exact: case.exact,
         network: case.network,
     })
-}
-
-/// The tensor rounded to a precision of 16 bits; `None` if it overflows.
-fn in_half(tensor: &Tensor, precision: Precision) -> Option<Tensor> {
-    let half = precision.rounded(tensor);
-    let mut pairs = tensor.data().iter().zip(half.data());
-    let overflows = pairs.any(|(x, half)| x.is_finite() && !half.is_finite());
-    (!overflows).then_some(half)
 }
 
 /// [`check`] of one kernel in one precision; `None` if that stores nothing in f16.

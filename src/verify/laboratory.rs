@@ -75,18 +75,23 @@ fn run(session: &Session, input: &Input<'_>, deadline: Deadline) -> Result<(Valu
 /// see [`comparison`]. Needs [`Config::keep_stages`].
 ///
 /// # Errors
-/// As [`GpuDetector::detect`]; [`Error::Param`] without `keep_stages` or a GPU; [`Error::Overflow`] where the
+/// As [`GpuDetector::detect`]; [`Error::Param`] without `keep_stages` and for the reference; [`Error::Overflow`] where the
 /// device's numbers overflow and those of the reference do not.
 pub fn compare(detector: &GpuDetector, frame: &Frame) -> Result<Comparison> {
     let mut input = detector.input(frame)?;
     let compiled = pollster::block_on(detector.session().one(input.geometry.size))?;
-    let Some(program) = compiled.program() else {
-        return Err(Error::param("compare", "device", "a GPU", "the CPU"));
-    };
     check_keeps_stages(detector)?;
     let network = &compiled.network;
-    let precision = program.precision();
-    let how = How { kernels: program.kernels(), precision, written: Some(program.stored()) };
+    let precision = detector.session().precision();
+    let how = How { precision, ..How::default() };
+    let how = match compiled.program() {
+        Some(program) => How { kernels: program.kernels(), written: Some(program.stored()), ..how },
+        #[cfg(feature = "cpu")]
+        None if compiled.plan().is_some() => How { plan: compiled.plan(), ..how },
+        None => {
+            return Err(Error::param("compare", "device", "a GPU or cores", "the reference"));
+        }
+    };
     let deadline = Deadline::after(detector.config().timeout);
     let (got, times) = pollster::block_on(compiled.run(&input.inputs(network), deadline))?;
     let found = input.detections(network, &got, times);

@@ -266,27 +266,27 @@ impl CpuPlan {
         Ok((values, times))
     }
 
-    /// The tolerance of a plan of one operation, by its kernel.
-    pub(crate) fn tolerance(&self, inputs: &[&Value]) -> Result<Option<Vec<f64>>> {
-        let kernels = self.steps.iter().filter_map(|step| match &step.work {
-            Work::Kernel(kernel) => Some(kernel),
+    /// The kernel of an operation, by its place in the graph.
+    fn kernel(&self, node: usize) -> Option<&dyn Kernel> {
+        // Each operation has one.
+        let mut kernels = self.steps.iter().filter_map(|step| match &step.work {
+            Work::Kernel(kernel) => Some(kernel.as_ref()),
             Work::Convert(_) => None,
         });
-        for kernel in kernels {
-            if let Some(bounds) = kernel.tolerance(inputs)? {
-                return Ok(Some(bounds));
-            }
-        }
-        Ok(None)
+        kernels.nth(node)
     }
 
-    /// Whether any kernel multiplies in this precision.
-    pub(crate) fn multiplies_in(&self, precision: Precision) -> bool {
-        let is = |step: &Step| match &step.work {
-            Work::Kernel(kernel) => kernel.precision() == precision,
-            Work::Convert(_) => false,
-        };
-        self.steps.iter().any(is)
+    /// The tolerance of an operation by its kernel; `None` where it is the operation's own.
+    ///
+    /// # Errors
+    /// As the operation's reference.
+    pub(crate) fn tolerance(&self, node: usize, inputs: &[&Value]) -> Result<Option<Vec<f64>>> {
+        self.kernel(node).map_or(Ok(None), |kernel| kernel.tolerance(inputs))
+    }
+
+    /// What an operation's kernel multiplies.
+    pub(crate) fn precision(&self, node: usize) -> Precision {
+        self.kernel(node).map_or(Precision::F32, Kernel::precision)
     }
 
     /// Gives the next run buffers full of NaN, which shows what a kernel leaves out.

@@ -26,6 +26,8 @@ mod choice;
 mod faults;
 mod tensor;
 
+#[cfg(feature = "cpu")]
+use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
 use std::time::Duration;
 
@@ -33,12 +35,17 @@ pub use choice::ChoiceComparison;
 pub(crate) use tensor::larger;
 pub use tensor::{TensorComparison, relative_l2};
 
-use crate::engine::graph::{TensorId, Values};
+#[cfg(feature = "cpu")]
+use crate::engine::cpu::CpuPlan;
+use crate::engine::graph::{Step, TensorId, Values};
 use crate::engine::kernels;
+use crate::engine::ops::op::Tolerance;
 use crate::engine::precision::Precision;
 use crate::engine::tensor::{Tensor, Value};
 use crate::error::{Error, Result};
 use crate::smr::{ModelConfig, Network};
+#[cfg(feature = "cpu")]
+use crate::verify::rounded::multiplied;
 use choice::{Id, Moved, Side};
 
 #[cfg(doc)]
@@ -54,13 +61,26 @@ pub const HALF_SCORE_BOUND: f64 = 0.005;
 /// [`CORNER_BOUND`] where maps and weights are stored in f16.
 pub const HALF_CORNER_BOUND: f64 = 0.25;
 
-/// [`SCORE_BOUND`] and [`CORNER_BOUND`] for what a GPU stored in `precision`. Those of f16 are no promise
-/// of a digit: each map is off by up to 2⁻¹¹ of itself, and they are ten times what `smr-gpu compare
-/// samples/*.png --precision f16` shows of corners.
+/// [`SCORE_BOUND`] and [`CORNER_BOUND`] for what a GPU stored, or cores multiplied, in `precision`. But for f32
+/// they are no promise of a digit: each map is off by up to 2⁻¹¹ of itself in f16, 2⁻⁹ in bf16, 2⁻⁹ of its range in
+/// products of 8 bits, and they are ten times what `smr-gpu compare samples/*.png` shows of corners.
 pub fn seen_bounds(precision: Precision) -> [f64; 2] {
     match precision {
-        Precision::F32 | Precision::Bf16 | Precision::Int8 => [SCORE_BOUND, CORNER_BOUND],
+        Precision::F32 => [SCORE_BOUND, CORNER_BOUND],
         Precision::F16 => [HALF_SCORE_BOUND, HALF_CORNER_BOUND],
+        Precision::Bf16 => [0.007, 2.0],
+        Precision::Int8 => [0.011, 5.0],
+    }
+}
+
+/// How far a score's logit may move at most for that to excuse another choice. A logit that moves by 4δ moves its
+/// score by at most δ; but proposals of which nobody sees the scores move further in bf16 and in products of 8 bits:
+/// ten times what `smr-gpu compare samples/*.png` shows.
+fn most_moved(precision: Precision) -> f64 {
+    match precision {
+        Precision::F32 | Precision::F16 => 4.0 * seen_bounds(precision)[0],
+        Precision::Bf16 => 1.0,
+        Precision::Int8 => 6.0,
     }
 }
 
@@ -117,12 +137,54 @@ pub(crate) struct Outcome {
 /// How a device ran a network: what its bounds depend on.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct How<'a> {
-    /// The kernel of each operation, in order.
-    pub kernels: &'a [&'static str],
-    /// How maps and weights are stored.
+    /// How maps and weights are stored, or what cores multiply.
     pub precision: Precision,
-    /// How each tensor is stored; those that are not named, in f32.
+    /// The kernel of each operation on a GPU, in order.
+    pub kernels: &'a [&'static str],
+    /// How each tensor is stored there; those that are not named, in f32.
     pub written: Option<&'a HashMap<TensorId, Precision>>,
+    /// The kernels of cores, in place of a GPU's.
+    #[cfg(feature = "cpu")]
+    pub plan: Option<&'a CpuPlan>,
+}
+
+impl How<'_> {
+    /// What the reference makes of what an operation read, the graph's `index`th, and how far the device may be
+    /// from it.
+    fn expected(&self, index: usize, step: &Step) -> Result<(Vec<Value>, Vec<Tolerance>)> {
+        #[cfg(feature = "cpu")]
+        if let Some(plan) = self.plan {
+            return on_cores(plan, index, step);
+        }
+        let expected = step.op.reference(&step.read)?;
+        let kernel = self.kernels.get(index).and_then(|id| kernels::find(id));
+        let written = |id| self.written.and_then(|all| all.get(id).copied()).unwrap_or_default();
+        let written: Vec<Precision> = step.outputs.iter().map(written).collect();
+        let values = (&step.read[..], &expected[..]);
+        let tolerances = kernels::bounds(kernel, step.op, values, self.precision, &written)?;
+        Ok((expected, tolerances))
+    }
+}
+
+/// [`How::expected`] of cores: of what was read as they multiply it.
+#[cfg(feature = "cpu")]
+fn on_cores(plan: &CpuPlan, index: usize, step: &Step) -> Result<(Vec<Value>, Vec<Tolerance>)> {
+    let precision = plan.precision(index);
+    let read = step.read.iter().enumerate().map(|(at, value)| match value {
+        Value::F32(tensor) if precision != Precision::F32 => {
+            let rounded = multiplied(step.op, at, tensor, precision);
+            rounded.map_or(Cow::Borrowed(*value), |tensor| Cow::Owned(tensor.into()))
+        }
+        _ => Cow::Borrowed(*value),
+    });
+    let read: Vec<Cow<Value>> = read.collect();
+    let read: Vec<&Value> = read.iter().map(Cow::as_ref).collect();
+    let expected = step.op.reference(&read)?;
+    let tolerances = match plan.tolerance(index, &read)? {
+        Some(bounds) => vec![Tolerance::Each(bounds)],
+        None => step.op.tolerance(&read, &expected)?,
+    };
+    Ok((expected, tolerances))
 }
 
 /// Compares `got`, every tensor that a device computed from `inputs`, with the references, of which
@@ -142,12 +204,7 @@ pub(crate) fn compare(
     let mut stages = vec![Vec::new(); network.graph.stages().len()];
     for (index, step) in network.graph.steps(inputs, got).enumerate() {
         let step = step?;
-        let expected = step.op.reference(&step.read)?;
-        let kernel = how.kernels.get(index).and_then(|id| kernels::find(id));
-        let written = |id| how.written.and_then(|all| all.get(id).copied()).unwrap_or_default();
-        let written: Vec<Precision> = step.outputs.iter().map(written).collect();
-        let values = (&step.read[..], &expected[..]);
-        let tolerances = kernels::bounds(kernel, step.op, values, how.precision, &written)?;
+        let (expected, tolerances) = how.expected(index, &step)?;
         let defined = step.op.defined(&expected.iter().collect::<Vec<_>>(), &step.read);
         // Rows that a count limits are those of the count.
         let ids = step.outputs.iter().chain(step.inputs).find(|id| device.ids.contains_key(*id));
@@ -186,10 +243,9 @@ pub(crate) fn compare(
 
     let [score_bound, corner_bound] = seen_bounds(how.precision);
     // An excuse reaches no further than what a user sees may be off.
-    // A logit that moves by 4δ moves its score by at most δ.
     let capped = |moved: Moved| Moved {
         score: moved.score.min(score_bound),
-        order: moved.order.min(4.0 * score_bound),
+        order: moved.order.min(most_moved(how.precision)),
         side: moved.side.min(corner_bound / scale),
     };
     let moved = choice::moved(&device.proposals, &reference.proposals);

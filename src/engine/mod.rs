@@ -9,6 +9,7 @@
 //! | [`mod@reference`] | each operation from its definition, with f64 sums |
 //! | [`ops`] | each operation: parameters, shape check, error bound, cases |
 //! | [`graph`] | operations over named tensors |
+//! | [`lifetimes`] | which tensors may share what holds them |
 //! | [`shader`] | WGSL put together from its parts, checked and reflected by naga |
 //! | [`kernels`] | what runs an operation on a device: its dispatches and their shaders |
 //! | [`lower`] | the kernels chosen for a graph, and what memory its tensors share |
@@ -27,6 +28,7 @@ pub(crate) mod digest;
 pub mod gpu;
 pub mod graph;
 pub mod kernels;
+pub mod lifetimes;
 pub(crate) mod lock;
 pub mod lower;
 #[cfg(feature = "serde")]

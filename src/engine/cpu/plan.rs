@@ -15,6 +15,7 @@ use web_time::Instant;
 
 use crate::engine::cores::Caller;
 use crate::engine::graph::{Graph, Source, StageTime, TensorId};
+use crate::engine::lifetimes::{self, Holds};
 use crate::engine::lock::lock;
 use crate::engine::precision::Precision;
 use crate::engine::shape::{DType, TensorSpec};
@@ -406,64 +407,49 @@ fn is_map(spec: &TensorSpec) -> bool {
     spec.dtype == DType::F32 && super::kernel::map_sizes(spec).is_some()
 }
 
-/// Gives each version a place: what is dead leaves its buffer to the next that fits.
+/// A buffer of so many elements.
+#[derive(Clone, Copy, Debug)]
+struct Elements(usize);
+
+impl Holds for Elements {
+    fn bytes(&self) -> u64 {
+        4 * self.0 as u64
+    }
+
+    fn union(self, other: Self) -> Option<Self> {
+        Some(Self(self.0.max(other.0)))
+    }
+}
+
+/// Gives each version a place, and says how many elements constants and buffers have.
 fn place(
     steps: &[Step],
     wanted: &[Version],
     specs: &[TensorSpec],
     given: impl Fn(TensorId) -> bool,
 ) -> (HashMap<Version, Place>, Vec<usize>, Vec<usize>) {
-    let mut last_use: HashMap<Version, usize> = HashMap::new();
-    let mut made: HashMap<Version, usize> = HashMap::new();
-    for (at, step) in steps.iter().enumerate() {
-        last_use.extend(step.inputs.iter().flatten().map(|v| (*v, at)));
-        made.extend(step.outputs.iter().map(|v| (*v, at)));
-    }
-    let mut places = HashMap::new();
-    let elements = |v: &Version| specs[v.tensor.0].shape.elements();
-    let (mut kept, mut sizes): (Vec<usize>, Vec<usize>) = Default::default();
-    let mut free: Vec<usize> = Vec::new();
-    let mut take = |places: &mut HashMap<Version, Place>, free: &mut Vec<usize>, v: Version| {
-        let need = elements(&v);
-        let best =
-            (0..free.len()).filter(|i| sizes[free[*i]] >= need).min_by_key(|i| sizes[free[*i]]);
-        let slot = match best {
-            Some(at) => free.swap_remove(at),
-            None => {
-                sizes.push(need);
-                sizes.len() - 1
-            }
-        };
-        places.insert(v, Place::Slot(slot));
+    let elements = |version: &Version| specs[version.tensor.0].shape.elements();
+    let made: Vec<Version> = steps.iter().flat_map(|step| &step.outputs).copied().collect();
+    let ids: HashMap<Version, usize> = made.iter().enumerate().map(|(id, v)| (*v, id)).collect();
+    let needs: Vec<Elements> = made.iter().map(|version| Elements(elements(version))).collect();
+    let used = |step: &Step| -> Vec<usize> {
+        let versions = step.outputs.iter().chain(step.inputs.iter().flatten());
+        versions.filter_map(|version| ids.get(version).copied()).collect()
     };
-    for version in steps.iter().flat_map(|s| s.inputs.iter().flatten()) {
-        if !made.contains_key(version) && !places.contains_key(version) {
-            let place = match given(version.tensor) {
-                true => Place::Given,
-                false => {
-                    kept.push(elements(version));
-                    Place::Kept(kept.len() - 1)
-                }
-            };
-            places.insert(*version, place);
-        }
+    let used: Vec<Vec<usize>> = steps.iter().map(used).collect();
+    let shared = lifetimes::assign(&needs, &used, |id| !wanted.contains(&made[id]));
+    let slots = made.iter().zip(&shared.slot);
+    let mut places: HashMap<Version, Place> =
+        slots.filter_map(|(version, slot)| Some((*version, Place::Slot((*slot)?)))).collect();
+    let mut kept = Vec::new();
+    for version in steps.iter().flat_map(|step| step.inputs.iter().flatten()) {
+        places.entry(*version).or_insert_with(|| match given(version.tensor) {
+            true => Place::Given,
+            false => {
+                kept.push(elements(version));
+                Place::Kept(kept.len() - 1)
+            }
+        });
     }
-    for (at, step) in steps.iter().enumerate() {
-        for version in &step.outputs {
-            take(&mut places, &mut free, *version);
-        }
-        let ended = step.inputs.iter().flatten().chain(&step.outputs);
-        let mut dead: Vec<usize> = ended
-            .filter(|v| made.contains_key(v) && !wanted.contains(v))
-            .filter(|v| last_use.get(v).is_none_or(|last| *last == at))
-            .filter_map(|v| match places.get(v) {
-                Some(Place::Slot(slot)) => Some(*slot),
-                _ => None,
-            })
-            .collect();
-        dead.sort_unstable();
-        dead.dedup();
-        free.extend(dead);
-    }
-    (places, kept, sizes)
+    (places, kept, shared.storage.iter().map(|slot| slot.0).collect())
 }

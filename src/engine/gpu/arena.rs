@@ -5,8 +5,8 @@ use std::sync::{Mutex, MutexGuard};
 use crate::engine::gpu::context::Gpu;
 use crate::engine::gpu::memory::Resource;
 use crate::engine::kernels::Storage;
+use crate::engine::lifetimes::Holds;
 use crate::engine::lock::lock;
-use crate::engine::lower::lifetimes;
 
 /// Memory that the slots of several programs share, those of pictures and their parts, as long as no two of
 /// them run at once. It grows to what the largest needs; a slot keeps what it had until it runs again.
@@ -41,7 +41,7 @@ impl Arena {
         let held = &mut self.held().storage;
         let mut taken = vec![false; held.len()];
         let take = |wanted: &Storage| {
-            let fits = |place: &usize| lifetimes::union(held[*place].0, *wanted).is_some();
+            let fits = |place: &usize| held[*place].0.union(*wanted).is_some();
             let found = (0..held.len()).filter(|place| !taken[*place]).find(fits);
             let place = found.unwrap_or_else(|| {
                 held.push((*wanted, gpu.device.create(*wanted, guard)));
@@ -50,7 +50,7 @@ impl Arena {
             });
             taken[place] = true;
             let (storage, resource) = &mut held[place];
-            if let Some(both) = lifetimes::union(*storage, *wanted).filter(|both| both != storage) {
+            if let Some(both) = storage.union(*wanted).filter(|both| both != storage) {
                 (*storage, *resource) = (both, gpu.device.create(both, guard));
             }
             resource.clone()

@@ -11,7 +11,8 @@ use crate::engine::graph::TensorId;
 use crate::engine::kernels::{
     Command, Dispatch, Grid, Layout, Recording, Role, Storage, TensorInfo,
 };
-use crate::engine::lower::{Lowered, lifetimes};
+use crate::engine::lifetimes::Assignment;
+use crate::engine::lower::{Lowered, storage};
 use crate::engine::precision::Precision;
 use crate::engine::shader::BindingKind;
 use crate::engine::shape::Extent;
@@ -188,7 +189,7 @@ impl Program {
         options: ProgramOptions,
     ) -> Result<Self> {
         let recording = &lowered.recording;
-        let assignment = lifetimes::assign(recording, options.reuse && !options.guard);
+        let assignment = storage::assign(recording, options.reuse && !options.guard);
         let mut program = Self {
             gpu: gpu.clone(),
             options,
@@ -240,7 +241,7 @@ impl Program {
     fn place_all(
         &mut self,
         recording: &Recording,
-        assignment: &lifetimes::Assignment,
+        assignment: &Assignment<Storage>,
         like: Option<&Program>,
     ) -> Result<()> {
         let mut slots: HashMap<usize, usize> = HashMap::new();

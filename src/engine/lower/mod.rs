@@ -6,11 +6,11 @@
 //! | [`KernelChoice`] | a kernel for each operation, by adapter, shape and measurement |
 //! | `layouts` | conversions between kernels that write and read differently |
 //! | `grids` | workgroups of dispatches over as many rows as a count on the device says |
-//! | [`lifetimes`] | which tensors share what holds them |
+//! | [`storage`] | which tensors share what holds them |
 
 mod grids;
 pub mod kernel_choice;
-pub mod lifetimes;
+pub mod storage;
 
 use std::collections::{HashMap, HashSet};
 

@@ -1,9 +1,9 @@
 //! What a shader with `wgsl/shared/products.wgsl` has to know of an adapter's subgroups.
 //!
 //! Such a shader reads by lane and spreads by broadcast from a subgroup's first 4, 8 or 16 lanes. What is spread
-//! is the same for the whole workgroup, and what a lane computes follows from its place in the workgroup
-//! alone: so subgroups may be of any size from the variant's lanes on, each of its own, and which invocation
-//! has which lane does not matter. It counts on one thing that WGSL does not promise: those first lanes run.
+//! is the same for the whole workgroup, or for a slice of it, which is whole subgroups (`wgsl/shared/slices.wgsl`):
+//! so subgroups may be of any size from the variant's lanes on, and which invocation has which lane does not
+//! matter. It counts on one thing that WGSL does not promise: those first lanes run.
 //! They do where a workgroup whose size is a multiple of the subgroups' is cut into whole ones. Vulkan has a
 //! flag for that, which wgpu 30 does not set.
 

@@ -13,12 +13,11 @@ use std::sync::Arc;
 use smr_gpu::engine::gpu::Gpu;
 use smr_gpu::engine::kernels::{Caps, Kind};
 use smr_gpu::engine::lower::{KernelChoice, works};
-use smr_gpu::engine::ops::find;
 use smr_gpu::engine::shader::Replacement;
 use smr_gpu::engine::tuned::{Place, Tuned};
 use smr_gpu::smr::{Network, Wanted, Weights};
 use smr_gpu::verify;
-use smr_gpu::verify::check::{Selection, Target, rows};
+use smr_gpu::verify::check::Selection;
 use smr_gpu::{Config, Device, Frame, GpuDetector, Precision};
 
 const LARGE: &str = "weights/smrnet.safetensors";
@@ -161,12 +160,8 @@ fn every_case_is_within_its_bound_with_many_cores() {
     let own = [gpu.caps().subgroup_min, gpu.caps().subgroup_max];
     let gpu = gpu.with_caps(caps(own, Kind::Discrete));
     for name in ["apply_gates", "channel_pool", "conv2d", "global_avg_pool", "linear"] {
-        let (target, entry) = (Target::Gpu(gpu.clone()), find(name).expect("an operation"));
         let selection = Selection { precision: Some(Precision::F32), ..Selection::default() };
-        let rows = rows(&target, entry, &selection).expect("a device that stays");
-        assert!(rows.iter().any(|row| row.cases == (entry.cases)().len()), "{name}");
-        let failures: Vec<String> = rows.into_iter().flat_map(|row| row.failures).collect();
-        assert!(failures.is_empty(), "{name}: {}", failures.join("\n"));
+        support::check_op_on(&gpu, name, &selection);
     }
 }
 

@@ -63,9 +63,7 @@ struct Object<'a> {
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    if args.device.device == Device::Reference {
-        return Err(Failure::usage("--device: expected what is held to the reference, got it"));
-    }
+    let device = args.device.but_the_reference()?;
     let selection = Selection {
         operation: args.name.clone(),
         kernel: args.kernel.clone(),
@@ -73,7 +71,7 @@ pub(super) fn run(args: Args) -> Result<Exit, Failure> {
         precision: args.precision,
     };
     let entries = selection.entries()?;
-    let target = match open_gpu(&args.device.device)? {
+    let target = match open_gpu(&device)? {
         None => {
             remark("CPU (f32)");
             Target::Cpu

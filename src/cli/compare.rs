@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 use smr_gpu::verify::{self, Comparison};
-use smr_gpu::{Device, Frame, GpuDetector, Savings, Scale};
+use smr_gpu::{Frame, GpuDetector, Savings, Scale};
 
 use super::detector::{self, Assumed, BoxArgs, DeviceArgs, NetworkArgs, fraction};
 use super::exit::{Exit, Failure};
@@ -83,12 +83,10 @@ struct Stage<'a> {
 }
 
 pub(super) fn run(args: Args) -> Result<Exit, Failure> {
-    if args.device.device == Device::Reference {
-        return Err(Failure::usage("--device: expected what is held to the reference, got it"));
-    }
+    let device = args.device.but_the_reference()?;
     let (sources, mut exit) = expand_all(&args.sources, false)?;
     let mut config = args.network.config(Savings::NONE)?;
-    config.device = args.device.device.clone();
+    config.device = device;
     if sources.is_empty() {
         return Ok(exit);
     }

@@ -226,6 +226,21 @@ pub(super) fn exact_fraction(text: &str) -> Result<f64, String> {
     number(text, [0.0, 1.0])
 }
 
+impl DeviceArgs {
+    /// What is to be held to the reference.
+    ///
+    /// # Errors
+    /// [`Exit::Usage`] for the reference itself.
+    pub fn but_the_reference(&self) -> Result<Device, Failure> {
+        match &self.device {
+            Device::Reference => {
+                Err(Failure::usage("--device: expected what is held to the reference, got it"))
+            }
+            device => Ok(device.clone()),
+        }
+    }
+}
+
 impl AdapterArgs {
     /// The adapter.
     ///

@@ -161,7 +161,8 @@ fn count_of(network: &Network, values: &Values, id: TensorId) -> Result<u32> {
 fn check_finite(network: &Network, values: &Values) -> Result<()> {
     for witness in &network.witnesses {
         let counts = value(network, values, witness.counts)?.u32()?;
-        let own = counts.data().get(witness.places.clone()).unwrap_or_default();
+        let short = || Error::tensor("detect", "counts", witness.places.end, counts.data().len());
+        let own = counts.data().get(witness.places.clone()).ok_or_else(short)?;
         let count = own.iter().map(|n| u64::from(*n)).sum();
         if count > 0 {
             return Err(Error::NotFinite { stage: witness.stage.clone(), count });

@@ -191,13 +191,14 @@ impl Network {
         let maps = scales.into_iter().chain(proposals.maps).map(named);
         let maps: Vec<_> = pooled.into_iter().chain(maps).collect();
         let rows: Vec<_> = head.rows.into_iter().map(named).collect();
-        let mut witnesses = Vec::new();
+        let (mut witnesses, mut looks) = (Vec::new(), Vec::new());
         for (name, tensors, count) in
             [("maps.not_finite", maps, None), ("rows.not_finite", rows, Some(proposals.count))]
         {
             let inputs: Vec<_> = tensors.iter().map(|(_, id)| *id).chain(count).collect();
             let op = NotFinite { values: tensors.len(), count: count.is_some() };
             let counts = graph.apply1(name, op, &inputs)?;
+            looks.push(counts);
             let mut first = 0;
             for (stage, tensor) in tensors {
                 let end = first + not_finite::chunks(graph.spec(tensor));
@@ -207,9 +208,7 @@ impl Network {
         }
         let outputs =
             [head.boxes, head.scores, head.margins, head.classes, head.count, proposals.count];
-        let mut counts: Vec<_> = witnesses.iter().map(|w| w.counts).collect();
-        counts.dedup();
-        for id in outputs.into_iter().chain(head.pose).chain(counts) {
+        for id in outputs.into_iter().chain(head.pose).chain(looks) {
             graph.mark_output(id);
         }
         Ok(Self {

@@ -109,14 +109,6 @@ fn pixels(strip: ptr<function, Strip>, at: u32) -> mat4x4<f32> {
 const PIXELS: u32 = 4u;
 const CHANNELS: u32 = 16u;
 
-// Four outputs each.
-struct Sums {
-    a: mat4x4<f32>,
-    b: mat4x4<f32>,
-    c: mat4x4<f32>,
-    d: mat4x4<f32>,
-}
-
 // Sums with a tap whose weights begin at `at` and whose inputs begin at `first_input` of the strip.
 fn add_tap(
     sums: Sums,
@@ -166,10 +158,6 @@ fn add_tap(
 #endif
 }
 
-fn join(a: Sums, b: Sums) -> Sums {
-    return Sums(a.a + b.a, a.b + b.b, a.c + b.c, a.d + b.d);
-}
-
 // Four outputs a texel: of each pixel, then the next four.
 fn texels(sums: Sums) -> array<vec4<f32>, 16> {
     let a = transpose(sums.a);
@@ -204,15 +192,14 @@ fn main(
 #endif
 #if SPLIT
     let place = place_of(local, lane);
+    let own = place.own;
+#else
+    let own = local;
 #endif
     let picture_strips = params.strips * params.output.height;
     // Lanes past the last strip of the last picture repeat it.
     let last = params.pictures * picture_strips - 1u;
-#if SPLIT
-    let index = workgroup.x * WORKGROUP + place.own;
-#else
-    let index = workgroup.x * WORKGROUP + local;
-#endif
+    let index = workgroup.x * WORKGROUP + own;
     let picture = min(index, last) / picture_strips;
     let strip_index = min(index, last) % picture_strips;
     let out_y = strip_index / params.strips;
@@ -319,10 +306,7 @@ fn main(
     }
 
 #if SPLIT
-    total.a = over_slices(place, total.a, none);
-    total.b = over_slices(place, total.b, none);
-    total.c = over_slices(place, total.c, none);
-    total.d = over_slices(place, total.d, none);
+    total = over_slices(place, total, none);
     let stores = (index <= last) & (place.slice == 0u);
 #else
     let stores = index <= last;

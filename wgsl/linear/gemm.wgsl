@@ -70,19 +70,7 @@ fn columns(rows: Four) -> mat4x4<f32> {
     return transpose(mat4x4<f32>(rows.a, rows.b, rows.c, rows.d));
 }
 
-// Four rows each: a column is an output, its elements are rows.
-struct Sums {
-    a: mat4x4<f32>,
-    b: mat4x4<f32>,
-    c: mat4x4<f32>,
-    d: mat4x4<f32>,
-}
-
 const ROWS: u32 = 16u;
-
-fn add(a: Sums, b: Sums) -> Sums {
-    return Sums(a.a + b.a, a.b + b.b, a.c + b.c, a.d + b.d);
-}
 
 @compute @workgroup_size(WORKGROUP * SLICES)
 fn main(
@@ -107,6 +95,7 @@ fn main(
     let tile_width = 4u * WORKGROUP;
     let last_row = rows - 1u;
     let wrap = params.weight_width + own;
+    // A column is an output, its elements are rows.
     var total = Sums();
     for (var round = 0u; round < params.rounds; round++) {
         let slice = round * SLICES + first_slice;
@@ -157,13 +146,10 @@ fn main(
             sums.c = add_products(sums.c, w, columns(c));
             sums.d = add_products(sums.d, w, columns(d));
         }
-        total = add(total, sums);
+        total = join(total, sums);
     }
 #if SPLIT
-    total.a = over_slices(place, total.a, params.zero);
-    total.b = over_slices(place, total.b, params.zero);
-    total.c = over_slices(place, total.c, params.zero);
-    total.d = over_slices(place, total.d, params.zero);
+    total = over_slices(place, total, params.zero);
     if place.slice > 0u {
         return;
     }

@@ -1,6 +1,5 @@
 // CBAM's spatial gates of some pixels, for all of a workgroup: the logistic function of a 7x7 convolution of the two
-// pooled maps, padding 3, with bias. The including shader declares `pooled`, `weight`, `bias` and a `params.map` or
-// the like, of which it gives the sizes.
+// pooled maps, padding 3, with bias. The including shader declares `pooled`, `weight` and `bias`.
 //
 // An invocation computes a span, 8 neighbouring pixels of a row, and slides a window of 8 values along it, so that
 // each value and each weight is loaded once for 8 outputs. The values of a row are loaded at once: a GPU waits as

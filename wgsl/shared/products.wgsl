@@ -18,6 +18,18 @@ fn add_products(sums: mat4x4<f32>, w: Four, x: mat4x4<f32>) -> mat4x4<f32> {
     );
 }
 
+// The sums of an invocation: four things each.
+struct Sums {
+    a: mat4x4<f32>,
+    b: mat4x4<f32>,
+    c: mat4x4<f32>,
+    d: mat4x4<f32>,
+}
+
+fn join(a: Sums, b: Sums) -> Sums {
+    return Sums(a.a + b.a, a.b + b.b, a.c + b.c, a.d + b.d);
+}
+
 #if SUBGROUPS
 // What the first four lanes of a subgroup hold, and so on. It may have more, but no fewer.
 fn first(w: vec4<f32>) -> Four {

@@ -10,7 +10,7 @@ struct Place {
 #if SUBGROUPS
 var<workgroup> next_place: atomic<u32>;
 #endif
-// Four sums of each invocation that is not of the first slice.
+// A quarter of the sums of each invocation that is not of the first slice.
 var<workgroup> others: array<mat4x4<f32>, (SLICES - 1u) * WORKGROUP>;
 
 #if SUBGROUPS
@@ -32,7 +32,15 @@ fn place_of(local: u32, lane: u32) -> Place {
 
 // The sums of all slices in their order, for the invocations of the first; for others none. All of a workgroup
 // call together.
-fn over_slices(place: Place, own: mat4x4<f32>, zero: u32) -> mat4x4<f32> {
+fn over_slices(place: Place, own: Sums, zero: u32) -> Sums {
+    let a = quarter_over_slices(place, own.a, zero);
+    let b = quarter_over_slices(place, own.b, zero);
+    let c = quarter_over_slices(place, own.c, zero);
+    return Sums(a, b, c, quarter_over_slices(place, own.d, zero));
+}
+
+// A quarter of them, for which there is room.
+fn quarter_over_slices(place: Place, own: mat4x4<f32>, zero: u32) -> mat4x4<f32> {
     // What was brought together before must have been read.
     workgroupBarrier();
     if place.slice > 0u {

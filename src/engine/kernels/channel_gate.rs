@@ -36,8 +36,7 @@ fn dispatch(work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Re
         });
     }
     let params = Params { channels: channels as u32, hidden: hidden as u32, zero: 0 };
-    let mut bindings: Vec<_> = op.inputs().into_iter().zip(inputs.iter().copied()).collect();
-    bindings.push(("output", outputs[0]));
+    let bindings = work.bindings((inputs, outputs));
     let grid = Grid::Workgroups([1, 1, 1]);
     Ok(Dispatch::new(&SHADER, "main", &params, &bindings, grid))
 }

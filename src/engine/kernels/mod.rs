@@ -54,7 +54,7 @@ pub(crate) use convert::Convert;
 pub use layout::{Layout, Quads};
 use plain::Plain;
 pub use recording::{Command, Dispatch, Grid, Recording, Role, Stage, Storage, TensorInfo};
-use recording::{all_texels, of_maps, texels};
+use recording::{all_texels, of_maps, repeated, texels};
 
 /// What kernels ask of an adapter.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -174,6 +174,13 @@ impl<'a> Work<'a> {
         let wrong =
             || Error::tensor(self.op.name(), "kernel", std::any::type_name::<T>(), "another");
         any.downcast_ref().ok_or_else(wrong)
+    }
+
+    /// Each input and output under the operation's name for it.
+    pub fn bindings(&self, (inputs, outputs): Io) -> Vec<(&'static str, TensorId)> {
+        let inputs = self.op.inputs().into_iter().zip(inputs);
+        let outputs = self.op.outputs().into_iter().zip(outputs);
+        inputs.chain(outputs).map(|(name, id)| (name, *id)).collect()
     }
 
     /// Where the channels of a map of this shape lie as [`Layout::Quads`] and [`Layout::Texture`], if they can.

@@ -3,7 +3,7 @@
 use bytemuck::Zeroable;
 
 use crate::engine::kernels::count::count_tensor;
-use crate::engine::kernels::{Caps, Dispatch, Grid, Io, Kernel, Recording, Work};
+use crate::engine::kernels::{Caps, Dispatch, Grid, Io, Kernel, Recording, Work, repeated};
 use crate::engine::ops::NotFinite;
 use crate::engine::ops::not_finite::{CHUNK, chunks};
 use crate::engine::shader::{Shader, Variant, shader_params};
@@ -70,12 +70,8 @@ impl Kernel for Planar {
             params.count_stride = recording.stride(count);
             params.output_stride = recording.stride(outputs[0]);
             first += params.chunks;
-            // Where there are fewer tensors, one is bound again.
-            let bound = INPUTS.into_iter().zip(values.iter().chain(std::iter::repeat(&values[0])));
-            let bindings: Vec<_> = [("count", count), ("output", outputs[0])]
-                .into_iter()
-                .chain(bound.map(|(name, id)| (name, *id)))
-                .collect();
+            let ends = [("count", count), ("output", outputs[0])];
+            let bindings: Vec<_> = ends.into_iter().chain(repeated(INPUTS, values)).collect();
             let grid = Grid::linear(params.chunks as usize, 1).pictures(recording.batch());
             let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);
             recording.dispatch(dispatch.variant(variant()));

@@ -13,7 +13,14 @@ use crate::engine::shader::Variant;
 /// Fewest lanes of a subgroup with which the shaders can do something.
 const FEWEST: u32 = 4;
 /// Most invocations of a workgroup that any adapter need have.
-pub(super) const MOST: u32 = 256;
+const MOST: u32 = 256;
+/// Most slices of a workgroup that share its sums.
+const MOST_SLICES: u32 = 8;
+
+/// Slices of so many invocations that a workgroup has room for.
+pub(super) fn most_slices(invocations: u32) -> u32 {
+    MOST_SLICES.min(MOST / invocations)
+}
 
 /// Subgroups that an adapter has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

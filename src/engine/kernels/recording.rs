@@ -432,6 +432,15 @@ pub(super) fn texels(variant: Variant, read: Precision, written: Precision) -> V
     variant.with("HALF", read.is_half()).with("HALF_OUTPUT", written.is_half())
 }
 
+/// Tensors under the names of as many bindings or more; where there are fewer, the first is bound again.
+pub(super) fn repeated<const N: usize>(
+    names: [&'static str; N],
+    ids: &[TensorId],
+) -> impl Iterator<Item = (&'static str, TensorId)> {
+    let ids = ids.iter().chain(std::iter::repeat(&ids[0])).copied();
+    names.into_iter().zip(ids)
+}
+
 /// All of those.
 pub(super) fn all_texels(variant: &Variant) -> [Variant; 4] {
     use Precision::{F16, F32};

@@ -2,9 +2,9 @@
 
 use super::{SPAN, SPANS};
 use crate::engine::kernels::{
-    Caps, Dispatch, Grid, Io, Kernel, Layout, Recording, Work, layout, of_maps,
+    Caps, Dispatch, Grid, Io, Kernel, Layout, MAX_WORKGROUPS, Recording, Work, layout, of_maps,
 };
-use crate::engine::ops::{ApplyGates, Op};
+use crate::engine::ops::ApplyGates;
 use crate::engine::shader::{Shader, Variant, shader_params};
 use crate::error::Result;
 
@@ -28,6 +28,11 @@ const ENOUGH: u32 = 128;
 /// The same of a software adapter.
 const FEW: u32 = 4;
 
+/// Workgroups for the pixels of a map.
+fn tiles(map: &layout::Quads) -> u32 {
+    (map.height * map.width.div_ceil(SPAN as u32)).div_ceil(SPANS)
+}
+
 /// Each workgroup computes the spatial gates of its pixels, and goes over some quads.
 #[derive(Debug)]
 pub(in crate::engine::kernels) struct Quads;
@@ -44,7 +49,8 @@ impl Kernel for Quads {
     fn fits(&self, work: &Work) -> bool {
         // Gates are read four at a time.
         let channels = work.inputs[0].shape.0[0];
-        channels.is_multiple_of(4) && work.has_quads(&work.inputs[0])
+        let map = work.quads(&work.inputs[0]);
+        channels.is_multiple_of(4) && map.is_some_and(|map| tiles(&map) <= MAX_WORKGROUPS)
     }
 
     fn reads(&self, _work: &Work, index: usize) -> Layout {
@@ -60,10 +66,9 @@ impl Kernel for Quads {
     }
 
     fn record(&self, work: &Work, recording: &mut Recording, (inputs, outputs): Io) -> Result<()> {
-        let op: &ApplyGates = work.op()?;
+        let _op: &ApplyGates = work.op()?;
         let map = recording.quads(inputs[0])?;
-        let spans = map.height * map.width.div_ceil(SPAN as u32);
-        let tiles = spans.div_ceil(SPANS);
+        let tiles = tiles(&map);
         let enough = if work.caps.has_many_cores() { ENOUGH } else { FEW };
         let group_quads = map.quads.div_ceil(enough.div_ceil(tiles).min(map.quads));
         let params = Params {
@@ -72,8 +77,7 @@ impl Kernel for Quads {
             channel_gate_stride: recording.stride(inputs[1]),
             pooled_stride: recording.stride(inputs[2]),
         };
-        let mut bindings: Vec<_> = op.inputs().into_iter().zip(inputs.iter().copied()).collect();
-        bindings.push(("output", outputs[0]));
+        let bindings = work.bindings((inputs, outputs));
         let groups = map.quads.div_ceil(group_quads);
         let grid = Grid::Workgroups([tiles, groups, recording.batch()]);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);

@@ -4,7 +4,7 @@ use super::{Sizes, padded_bias, weights_known};
 use std::borrow::Cow;
 
 use crate::engine::graph::TensorId;
-use crate::engine::kernels::products::{Lanes, MOST};
+use crate::engine::kernels::products::{Lanes, most_slices};
 use crate::engine::kernels::weights::{Packing, Stored};
 use crate::engine::kernels::{
     Caps, Dispatch, Grid, Io, Kernel, Layout, MAX_WORKGROUPS, Quads, Recording, Work, texels,
@@ -50,8 +50,6 @@ static SHADER: Shader = Shader {
 const ENOUGH: u64 = 256;
 /// Farthest that an invocation's pixels lie apart: the farther, the more of them lie outside a small map.
 const MOST_SPACING: usize = 4;
-/// Most slices of a workgroup that share its sums.
-const MOST_SLICES: u32 = 8;
 
 /// Taps of a row that are added together, and the inputs that they share.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -147,21 +145,20 @@ impl Tile {
 
     /// Those of a kernel, of few slices first. None where weights are to be spread and there are no subgroups, and
     /// where a workgroup has no room for two slices.
-    fn all(Direct { weights, split }: Direct, caps: &Caps) -> impl Iterator<Item = Self> + Clone {
+    fn all(Direct { weights, split }: Direct, caps: &Caps) -> Vec<Self> {
         let lanes = Lanes::of(caps);
         let workgroup = match (weights, lanes) {
             // A slice is whole subgroups, so that each has one address.
-            (Weights::Scalar, Some(lanes)) if split => Some(lanes.workgroup),
-            (Weights::Scalar, _) => Some(caps.subgroup_min.clamp(32, 64)),
-            (Weights::Spread, lanes) => lanes.map(|lanes| lanes.workgroup),
+            (Weights::Scalar, Some(lanes)) if split => lanes.workgroup,
+            (Weights::Scalar, _) => caps.subgroup_min.clamp(32, 64),
+            (Weights::Spread, Some(lanes)) => lanes.workgroup,
+            (Weights::Spread, None) => return Vec::new(),
         };
-        workgroup.into_iter().flat_map(move |workgroup| {
-            let most = MOST_SLICES.min(MOST / workgroup);
-            let slices = if split { [most / 2, most] } else { [0, 1] };
-            let fits = move |slices: &u32| if split { *slices > 1 } else { *slices == 1 };
-            let of = move |slices| Self { weights, lanes, workgroup, slices };
-            slices.into_iter().filter(fits).map(of)
-        })
+        let most = most_slices(workgroup);
+        let slices = if split { vec![most / 2, most] } else { vec![1] };
+        let fits = |slices: &u32| !split || *slices > 1;
+        let of = |slices| Self { weights, lanes, workgroup, slices };
+        slices.into_iter().filter(fits).map(of).collect()
     }
 }
 
@@ -201,15 +198,16 @@ impl Plan {
         let Sizes { in_c, out_c, kh, kw, out_h, out_w } = sizes;
         let form = Form::of(op, in_c, kh, kw);
         let blocks = u32::try_from(form.blocks(in_c)).ok()?;
-        let fitting = Tile::all(kernel, work.caps).filter(|tile| tile.slices <= blocks.max(1));
-        let workgroup = fitting.clone().next()?.workgroup as usize;
+        let mut fitting = Tile::all(kernel, work.caps);
+        fitting.retain(|tile| tile.slices <= blocks.max(1));
+        let workgroup = fitting.first()?.workgroup as usize;
         let strips = out_w.div_ceil(Tile::PIXELS * form.spacing) * form.spacing;
         let tiles = out_c.div_ceil(Tile::CHANNELS);
         let across = |pictures: usize| (pictures * strips * out_h).div_ceil(workgroup);
         let busy = across(1) as u64 * tiles as u64;
         // By one picture: the order of its sums must not depend on the rest of its batch.
-        let keeps_busy = |tile: &Tile| busy * u64::from(tile.slices) >= ENOUGH;
-        let tile = fitting.clone().find(keeps_busy).or(fitting.last())?;
+        let keeps_busy = |tile: &&Tile| busy * u64::from(tile.slices) >= ENOUGH;
+        let tile = *fitting.iter().find(keeps_busy).or(fitting.last())?;
 
         let all = packed_texels(&sizes, &form);
         let texels = match weights {
@@ -372,6 +370,7 @@ impl Kernel for Direct {
             stored.map(|(w, read, written)| texels(taps.variant(&tile, w, caps), read, written))
         };
         let all = Tile::all(*self, caps)
+            .into_iter()
             .flat_map(|tile| Taps::ALL.into_iter().flat_map(move |taps| of(tile, taps)));
         all.map(|variant| (&SHADER, variant)).collect()
     }
@@ -578,7 +577,7 @@ mod tests {
     #[test]
     fn slices_make_sums_no_deeper() {
         for blocks in 2u32..200 {
-            for slices in 2..=MOST_SLICES.min(blocks) {
+            for slices in 2..=most_slices(32).min(blocks) {
                 let each = blocks.div_ceil(slices);
                 let filled = blocks.div_ceil(each);
                 assert!(each - 1 + filled - 1 < blocks, "{blocks} in {slices}");

@@ -4,6 +4,7 @@ use bytemuck::Zeroable;
 
 use crate::engine::kernels::{
     Caps, Dispatch, Grid, Io, Kernel, Layout, MAX_WORKGROUPS, Recording, Work, layout, over_space,
+    repeated,
 };
 use crate::engine::ops::global_avg_pool::MAPS;
 use crate::engine::ops::{GlobalAvgPool, Op, Tolerance};
@@ -63,10 +64,7 @@ impl Kernel for Quads {
             *map = recording.quads(*input)?;
             quads += map.quads;
         }
-        // Where there are fewer maps, one is bound again.
-        let maps = inputs.iter().chain(std::iter::repeat(&inputs[0]));
-        let maps = MAPS.into_iter().zip(maps.copied());
-        let bindings: Vec<_> = maps.chain([("output", outputs[0])]).collect();
+        let bindings: Vec<_> = repeated(MAPS, inputs).chain([("output", outputs[0])]).collect();
         let grid =
             Grid::Workgroups([over_space::workgroups(quads, work.caps), 1, recording.batch()]);
         let dispatch = Dispatch::new(&SHADER, "main", &params, &bindings, grid);

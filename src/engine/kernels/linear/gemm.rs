@@ -1,7 +1,7 @@
 //! As a product of matrices, in registers.
 
 use crate::engine::kernels::count::{count_tensor, row_grid};
-use crate::engine::kernels::products::{Lanes, MOST};
+use crate::engine::kernels::products::{Lanes, most_slices};
 use crate::engine::kernels::weights::Packing;
 use crate::engine::kernels::{Caps, Dispatch, Io, Kernel, MAX_WORKGROUPS, Recording, Work};
 use crate::engine::ops::bounds::{magnitude, moved_sum};
@@ -39,12 +39,9 @@ static SHADER: Shader = Shader {
 const ROWS: u32 = 16;
 /// Outputs that one invocation computes.
 const OUTPUTS: usize = 4;
-/// Most slices of a workgroup.
-const MOST_SLICES: u32 = 8;
-
 /// Slices that a workgroup sums side by side: on an adapter with few cores, which keep busy anyway, one.
 fn side_by_side(lanes: Lanes, caps: &Caps) -> u32 {
-    if caps.has_many_cores() { MOST_SLICES.min(MOST / lanes.workgroup) } else { 1 }
+    if caps.has_many_cores() { most_slices(lanes.workgroup) } else { 1 }
 }
 
 fn variant(lanes: Lanes, slices: u32, inner: usize, weights: Precision) -> Variant {

@@ -74,24 +74,6 @@ fn cases_by_hand() {
     assert!(failures.is_empty(), "{}", failures.join("\n"));
 }
 
-/// What lies in textures on this adapter, if it is software, lies in buffers on a GPU.
-#[test]
-fn kernels_read_maps_from_buffers() {
-    use smr_gpu::engine::kernels::{Caps, Kind};
-    use smr_gpu::engine::ops::find;
-    use smr_gpu::verify::check::{Selection, Target, rows};
-    let caps = Caps { kind: Kind::Discrete, ..support::gpu().caps().clone() };
-    let target = Target::Gpu(support::gpu().with_caps(caps));
-    let mut failures = Vec::new();
-    for name in ["conv2d", "roi_align"] {
-        let entry = find(name).expect("a registered operation");
-        let rows = rows(&target, entry, &Selection::default()).expect("a device that stays");
-        assert!(rows.iter().any(|row| row.cases == (entry.cases)().len()), "{name}");
-        failures.extend(rows.into_iter().flat_map(|row| row.failures));
-    }
-    assert!(failures.is_empty(), "{}", failures.join("\n"));
-}
-
 /// As compilers read the shaders that know how long loops are: this adapter's does not, if it is lavapipe.
 #[test]
 fn loops_of_known_length_keep_the_bounds() {

@@ -22,9 +22,13 @@ steps=()
 times=()
 current=""
 started=$SECONDS
+lints=""
 
 summary() {
     local status=$?
+    if [ -n "$lints" ]; then
+        kill "$lints" 2>/dev/null || true
+    fi
     echo
     for i in "${!steps[@]}"; do
         printf 'ok      %-8s %4d s\n' "${steps[i]}" "${times[i]}"
@@ -75,43 +79,6 @@ have_adapter() {
     fi
 }
 
-# Each feature alone compiles, and a program that embeds the detector gets few crates with it.
-most_crates=75
-features() {
-    local feature
-    # None, with the tests that need none.
-    cargo clippy --locked --release --all-targets --no-default-features -- -D warnings
-    for feature in image picture cpu embedded-weights serde eval simulator; do
-        cargo clippy --locked --release --lib --no-default-features --features "$feature" \
-            -- -D warnings
-    done
-}
-crates() {
-    local found
-    found=$(cargo tree --locked -e normal --prefix none --no-dedupe --no-default-features |
-        sort -u | wc -l)
-    echo "$found crates without features, at most $most_crates"
-    [ "$found" -le "$most_crates" ]
-}
-
-# The other workspaces' locks name what this crate depends on, too.
-locks() {
-    local lock
-    for lock in bindings/*/Cargo.lock fuzz/Cargo.lock; do
-        cargo metadata --locked --format-version 1 --manifest-path "${lock%lock}toml" >/dev/null
-    done
-}
-
-# What crates.io takes, in bytes.
-most_packed=10000000
-package() {
-    local size
-    cargo package --locked --quiet --no-verify --allow-dirty
-    size=$(cat "${CARGO_TARGET_DIR:-target}"/package/smr-gpu-*.crate | wc -c)
-    echo "$size bytes packed, at most $most_packed"
-    [ "$size" -le "$most_packed" ]
-}
-
 if [ "${1:-}" = quick ]; then
     # Builds again what a change touches, and no more.
     export CARGO_INCREMENTAL=1
@@ -142,21 +109,17 @@ checks=(
 # `smr-gpu check` has, on the GPU and on cores.
 released=(--test '*')
 step format cargo fmt --check
+# Checks that tests do not wait for: in a folder of their own, with the time that building and testing leave.
+beside=${CARGO_TARGET_DIR:-target}/lints
+mkdir -p "$beside"
+CARGO_TARGET_DIR=$beside nice tests/lints.sh >"$beside/log" 2>&1 &
+lints=$!
 # With what the tests need, so that nothing is built twice; the program is built with them.
 step build cargo test --locked --release "${checks[@]}" --lib --bins --test cli --no-run
 step adapter have_adapter
 step checked cargo test --locked --release "${checks[@]}" --lib --bins --test cli
 # From here on the program is the released one.
 step released cargo test --locked --release "${released[@]}" --no-run
-step clippy cargo clippy --locked --release --all-targets -- -D warnings
-step features features
-step crates crates
-step locks locks
-step package package
-RUSTDOCFLAGS="-D warnings" step docs cargo doc --locked --release --no-deps
-if command -v cargo-deny >/dev/null; then
-    step deny cargo deny --locked check bans licenses sources
-fi
 # What of training needs nothing but Python itself; weights/training/run.sh has the rest.
 labels() {
     (cd weights/training && python3 -m unittest -q tests/test_labels.py)
@@ -167,3 +130,11 @@ fi
 # Examples are no tests: clippy has compiled them.
 step tests cargo test --locked --release "${released[@]}"
 step doctests cargo test --locked --release --doc
+linted() {
+    local status=0
+    wait "$lints" || status=$?
+    lints=""
+    cat "$beside/log"
+    return "$status"
+}
+step lints linted

@@ -23,16 +23,16 @@ pub fn gpu() -> &'static Arc<Gpu> {
 /// Runs every case of the operation and reports all that fail.
 #[allow(dead_code, reason = "not every test crate runs operations")]
 pub fn check_op(name: &str) {
-    check_op_on(gpu(), name, &Selection::default());
+    check_op_on(gpu(), name);
 }
 
-/// [`check_op`] of a selection on an adapter.
+/// [`check_op`] on an adapter.
 #[allow(dead_code, reason = "not every test crate runs operations")]
-pub fn check_op_on(gpu: &Arc<Gpu>, name: &str, selection: &Selection) {
+pub fn check_op_on(gpu: &Arc<Gpu>, name: &str) {
     let entry = ops::find(name).expect("a registered operation");
     assert!((entry.cases)().iter().any(|c| c.by_hand.is_some()), "{name} has no case by hand");
     let target = Target::Gpu(gpu.clone());
-    let rows = rows(&target, entry, selection).expect("a device that stays");
+    let rows = rows(&target, entry, &Selection::default()).expect("a device that stays");
     assert!(
         rows.iter().any(|row| row.cases == (entry.cases)().len()),
         "{name}: a case ran nowhere"

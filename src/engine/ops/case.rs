@@ -270,8 +270,8 @@ mod tests {
         let mut report = Report::default();
         let mut compared = 0;
         for case in OPS.iter().flat_map(|entry| (entry.cases)()) {
-            let expected = Expected::of(&case).expect("a reference");
             let Some(hand) = &case.by_hand else { continue };
+            let expected = Expected::of(&case).expect("a reference");
             for (i, name) in case.op.outputs().into_iter().enumerate() {
                 let what = format!("{} / {} / {name}", case.op.name(), case.name);
                 let (got, bound) = (&expected.reference[i], &expected.bounds[i]);

@@ -158,7 +158,8 @@ fn every_case_is_within_its_bound_with_many_cores() {
     let gpu = support::gpu();
     let own = [gpu.caps().subgroup_min, gpu.caps().subgroup_max];
     let gpu = gpu.with_caps(caps(own, Kind::Discrete));
-    for name in ["apply_gates", "channel_pool", "conv2d", "global_avg_pool", "linear", "roi_align"] {
+    for name in ["apply_gates", "channel_pool", "conv2d", "global_avg_pool", "linear", "roi_align"]
+    {
         support::check_op_on(&gpu, name);
     }
 }

@@ -1,5 +1,4 @@
-//! 2-D convolution on channels-last maps: Winograd where it pays, else im2col, both over a matrix
-//! product.
+//! 2-D convolution on channels-last maps: Winograd where it pays, else products of the rows where they lie.
 
 use std::sync::Arc;
 
@@ -11,7 +10,7 @@ use super::scratch::Scratch;
 use super::tiles::Rows;
 use super::winograd::Winograd;
 use super::words::{self, Numbers};
-use crate::engine::cores::{each, each_with};
+use crate::engine::cores::each_with;
 use crate::engine::ops::Conv2d;
 use crate::engine::ops::bounds::magnitude;
 use crate::engine::precision::Precision;
@@ -20,7 +19,7 @@ use crate::engine::shape::TensorSpec;
 use crate::engine::tensor::{Tensor, Value};
 use crate::error::Result;
 
-/// Floats of an im2col tile: half of a common second-level cache.
+/// Inputs of the pixels that a thread takes: half of a common second-level cache.
 const TILE: usize = 128 * 1024;
 /// Pieces at least in which the pixels are shared, so that threads end together.
 const PIECES: usize = 16;
@@ -36,19 +35,10 @@ pub(super) struct Convolution {
 
 #[derive(Debug)]
 enum Algorithm {
-    /// Weights in [`Panels`], their inputs in the order `[kh, kw, I]`.
-    Im2col(Arc<Vec<f32>>),
-    /// The same, with their inputs where they lie: in a map that is rounded and has zeros round it.
+    /// Weights in [`Panels`], their inputs in the order `[kh, kw, I]`; these lie in a map that is rounded and has zeros
+    /// round it.
     Direct(Numbers, Arc<Vec<f32>>),
     Winograd(Winograd),
-}
-
-/// Where the inputs of each output pixel are.
-#[derive(Clone, Copy)]
-enum Source<'a> {
-    Rows(Inputs<'a>),
-    /// In a map, from which they are gathered.
-    Map(&'a [f32]),
 }
 
 impl Convolution {
@@ -70,29 +60,21 @@ impl Convolution {
         let bias = bias.map_or_else(|| vec![0.0; out_c], |b| b.data().to_vec());
         let numbers = pack.numbers_of(out_c, shape.padded_terms(Numbers::Int8), kh * kw > 1);
         // Winograd's quarter of the products in f32 takes no longer than all in bf16, but longer than all of 8 bits.
-        let pays = numbers != Some(Numbers::Int8) && !pack.all.lean;
-        let packed = |numbers| pack.get("im2col", numbers, |w| channels_last(w, numbers));
+        let pays = numbers != Numbers::Int8 && !pack.all.lean;
         let algorithm = if Winograd::fits(&op, &shape) && pays {
             Algorithm::Winograd(Winograd::new(shape, pack)?)
-        } else if let Some(direct) = numbers {
-            Algorithm::Direct(direct, packed(numbers)?)
         } else {
-            Algorithm::Im2col(packed(None)?)
+            let packed = pack.get("direct", numbers, |weight| channels_last(weight, numbers))?;
+            Algorithm::Direct(numbers, packed)
         };
         Ok(Self { op, shape, algorithm, epilogue: Epilogue { bias, relu: op.relu } })
     }
 
-    /// Whether the input itself is the matrix of im2col.
-    fn is_pointwise(&self) -> bool {
-        let Conv2d { stride, padding, .. } = self.op;
-        self.shape.kh * self.shape.kw == 1 && stride == 1 && padding == 0
-    }
-
-    /// Multiplies the rows of all pixels, which lie in memory or are gathered from the map.
+    /// Multiplies the rows of all pixels.
     fn multiply(
         &self,
         weight: Panels,
-        source: Source,
+        rows: &Inputs,
         residual: Option<&[f32]>,
         output: &mut [f32],
     ) {
@@ -104,21 +86,13 @@ impl Convolution {
         // Where there are fewer pixels than weights to each of their inputs, threads share the weights.
         if pixels >= out_c {
             let tile = (TILE / terms).min(pixels / PIECES).clamp(16, 512).next_multiple_of(12);
-            let gathered = if matches!(source, Source::Map(_)) { tile * terms } else { 0 };
             let stride = weight.stride();
-            let scratch = || [gathered, tile * stride].map(Scratch::new);
             each_with(
                 output.chunks_mut(tile * out_c).enumerate(),
-                scratch,
-                |[columns, sums], (index, output)| {
+                || Scratch::new(tile * stride),
+                |sums, (index, output)| {
                     let (first, count) = (index * tile, output.len() / out_c);
-                    match source {
-                        Source::Rows(rows) => weight.multiply(sums, &rows, first..first + count),
-                        Source::Map(input) => {
-                            self.gather(input, first, &mut columns[..count * terms]);
-                            weight.multiply(sums, &Inputs::floats(columns, terms), 0..count);
-                        }
-                    }
+                    weight.multiply(sums, rows, first..first + count);
                     vectorised(
                         #[inline(always)]
                         || {
@@ -130,18 +104,7 @@ impl Convolution {
             );
             return;
         }
-        let mut columns;
-        let rows = match source {
-            Source::Rows(rows) => rows,
-            Source::Map(input) => {
-                columns = Scratch::new(pixels * terms);
-                let tile = pixels.div_ceil(PIECES).max(1);
-                let parts = columns.chunks_mut(tile * terms).enumerate();
-                each(parts, |(i, part)| self.gather(input, i * tile, part));
-                Inputs::floats(&columns, terms)
-            }
-        };
-        let parts = weight.shared(&rows, pixels);
+        let parts = weight.shared(rows, pixels);
         vectorised(
             #[inline(always)]
             || {
@@ -201,45 +164,15 @@ impl Convolution {
         };
         let inputs = Inputs { rows, scales: &rounded.scales };
         let inner = self.shape.padded_terms(numbers);
-        let weight = Panels::of(weight, (out_c, inner), Some(numbers));
-        self.multiply(weight, Source::Rows(inputs), residual, output);
-    }
-
-    /// The inputs of each output pixel from `first` side by side, `[pixels][kh, kw, I]`.
-    fn gather(&self, input: &[f32], first: usize, columns: &mut [f32]) {
-        let MapShape { in_c, in_h, in_w, out_w, kh, kw, .. } = self.shape;
-        let Conv2d { stride, padding, dilation, .. } = self.op;
-        for (i, column) in columns.chunks_exact_mut(self.shape.terms()).enumerate() {
-            let (oy, ox) = ((first + i) / out_w, (first + i) % out_w);
-            for (ky, row) in column.chunks_exact_mut(kw * in_c).enumerate() {
-                // Wraps below zero to a large number, so that one comparison finds both sides.
-                let y = (oy * stride + ky * dilation).wrapping_sub(padding);
-                let x = |kx: usize| (ox * stride + kx * dilation).wrapping_sub(padding);
-                if y >= in_h {
-                    row.fill(0.0);
-                    continue;
-                }
-                let line = &input[y * in_w * in_c..][..in_w * in_c];
-                if dilation == 1 && x(0) < in_w && x(0) + kw <= in_w {
-                    row.copy_from_slice(&line[x(0) * in_c..][..kw * in_c]);
-                    continue;
-                }
-                for (kx, to) in row.chunks_exact_mut(in_c).enumerate() {
-                    match x(kx) < in_w {
-                        true => to.copy_from_slice(&line[x(kx) * in_c..][..in_c]),
-                        false => to.fill(0.0),
-                    }
-                }
-            }
-            debug_assert_eq!(column.len(), kh * kw * in_c);
-        }
+        let weight = Panels::of(weight, (out_c, inner), numbers);
+        self.multiply(weight, &inputs, residual, output);
     }
 }
 
 /// Packs `[O, I, kh, kw]`, with the inputs of an output in the order `[kh, kw, I]`, those of a tap in whole words.
-fn channels_last(weight: &Tensor, numbers: Option<Numbers>) -> Vec<f32> {
+fn channels_last(weight: &Tensor, numbers: Numbers) -> Vec<f32> {
     let [out_c, in_c, kh, kw] = [0, 1, 2, 3].map(|i| weight.dims()[i]);
-    let (taps, padded) = (kh * kw, in_c.next_multiple_of(numbers.map_or(1, Numbers::a_word)));
+    let (taps, padded) = (kh * kw, in_c.next_multiple_of(numbers.a_word()));
     Panels::packed((out_c, padded * taps), numbers, |o, k| {
         let (tap, i) = (k / padded, k % padded);
         if i < in_c { weight.data()[(o * in_c + i) * taps + tap] } else { 0.0 }
@@ -254,7 +187,7 @@ impl Kernel for Convolution {
     fn precision(&self) -> Precision {
         match self.algorithm {
             Algorithm::Direct(numbers, _) => numbers.precision(),
-            Algorithm::Im2col(_) | Algorithm::Winograd(_) => Precision::F32,
+            Algorithm::Winograd(_) => Precision::F32,
         }
     }
 
@@ -263,14 +196,13 @@ impl Kernel for Convolution {
         let added: Vec<_> = inputs[2..].iter().map(|v| magnitude(v)).collect::<Result<_, _>>()?;
         let bias = if self.op.bias { added.first() } else { None };
         let residual = if self.op.residual { added.last() } else { None };
-        if let Algorithm::Winograd(kernel) = &self.algorithm {
-            return Ok(Some(kernel.tolerance(&input, bias, residual)));
-        }
-        let sums = reference::conv2d(&input, &weight, bias, residual, self.op.shape(), false);
-        let numbers = match self.algorithm {
-            Algorithm::Direct(numbers, _) => Some(numbers),
-            Algorithm::Im2col(_) | Algorithm::Winograd(_) => None,
+        let numbers = match &self.algorithm {
+            Algorithm::Direct(numbers, _) => *numbers,
+            Algorithm::Winograd(kernel) => {
+                return Ok(Some(kernel.tolerance(&input, bias, residual)));
+            }
         };
+        let sums = reference::conv2d(&input, &weight, bias, residual, self.op.shape(), false);
         let order = order(numbers, self.shape.terms(), 2);
         Ok(Some(sums.data().iter().map(|sum| order.error(f64::from(*sum))).collect()))
     }
@@ -282,15 +214,6 @@ impl Kernel for Convolution {
             false => None,
         };
         match &self.algorithm {
-            Algorithm::Im2col(weight) => {
-                let terms = self.shape.terms();
-                let weight = Panels::of(weight, (self.shape.out_c, terms), None);
-                let source = match self.is_pointwise() {
-                    true => Source::Rows(Inputs::floats(input, terms)),
-                    false => Source::Map(input),
-                };
-                self.multiply(weight, source, residual, outputs[0]);
-            }
             Algorithm::Direct(numbers, weight) => {
                 self.direct(*numbers, weight, input, residual, outputs[0]);
             }
@@ -310,9 +233,9 @@ mod tests {
     use crate::engine::shape::Shape;
     use crate::engine::tensor::Constant;
 
-    /// Both ways to the rows of im2col, gathered for the library and where they lie, of many pixels and of few.
+    /// Rows of all strides, paddings and dilations, of many pixels and of few.
     #[test]
-    fn rows_are_gathered_or_lie_in_the_map() {
+    fn rows_lie_in_the_map() {
         let some = |i: usize, step: usize| ((i * step % 101) as f32 - 50.0) / 50.0;
         for (op, [in_c, out_c, side, kernel]) in [
             (Conv2d { stride: 2, padding: 3, ..Conv2d::default() }, [3, 5, 11, 7]),
@@ -347,22 +270,19 @@ mod tests {
             };
             let (want, given) = (last(&want), inputs.iter().map(last).collect::<Vec<_>>());
             let weight = Constant::from(inputs[1].clone());
-            for numbers in [None, Numbers::of(Precision::F32)] {
-                let all = Packs::default();
-                let pack = Pack { all: &all, name: "w", weight: &weight, numbers };
-                let bias = inputs[2].f32().expect("floats");
-                let kernel = Convolution::new(op, &inputs[0].spec(), &output, Some(bias), pack);
-                let kernel = kernel.expect("a kernel");
-                assert!(!matches!(kernel.algorithm, Algorithm::Winograd(_)));
-                let bounds = kernel.tolerance(&read).expect("bounds").expect("its own");
-                let bounds: Value =
-                    Tensor::from_fn(output.shape.clone(), |i| bounds[i] as f32).into();
-                let data: Vec<Data> = given.iter().map(|data| Data::F32(data)).collect();
-                let mut got = vec![f32::NAN; want.len()];
-                kernel.run(&data, &mut [&mut got]).expect("a run");
-                for (i, bound) in last(&bounds).iter().enumerate() {
-                    assert!((got[i] - want[i]).abs() <= *bound, "{op:?} {numbers:?}: {i}");
-                }
+            let all = Packs::default();
+            let pack = Pack { all: &all, name: "w", weight: &weight, numbers: Numbers::F32 };
+            let bias = inputs[2].f32().expect("floats");
+            let kernel = Convolution::new(op, &inputs[0].spec(), &output, Some(bias), pack);
+            let kernel = kernel.expect("a kernel");
+            assert!(!matches!(kernel.algorithm, Algorithm::Winograd(_)));
+            let bounds = kernel.tolerance(&read).expect("bounds").expect("its own");
+            let bounds: Value = Tensor::from_fn(output.shape.clone(), |i| bounds[i] as f32).into();
+            let data: Vec<Data> = given.iter().map(|data| Data::F32(data)).collect();
+            let mut got = vec![f32::NAN; want.len()];
+            kernel.run(&data, &mut [&mut got]).expect("a run");
+            for (i, bound) in last(&bounds).iter().enumerate() {
+                assert!((got[i] - want[i]).abs() <= *bound, "{op:?}: {i}");
             }
         }
     }

@@ -5,23 +5,16 @@ use std::ops::Range;
 use super::tiles::{Panel, Rows, ways};
 use super::words::{self, Numbers, Scale};
 use crate::engine::cores::{each, threads};
-use crate::engine::ops::bounds::{Joined, SumOrder};
+use crate::engine::ops::bounds::SumOrder;
 pub(super) use crate::engine::reference::vectorised;
 
-/// Products that are added up before their sum joins the others, whatever order the library takes.
-const PART: usize = 512;
-
-/// The order of [`Panels::multiply`]'s sums of `k` products, at the worst, and of `more` values added to them.
-pub(super) fn order(numbers: Option<Numbers>, k: usize, more: usize) -> SumOrder {
+/// The order of [`Panels::multiply`]'s sums of `k` products, and of `more` values added to them.
+pub(super) fn order(numbers: Numbers, k: usize, more: usize) -> SumOrder {
     match numbers {
-        None => {
-            let (terms, parts) = (k.min(PART), k.div_ceil(PART));
-            SumOrder { terms, parts, joined: Joined::InOrder, more }
-        }
-        Some(Numbers::F32 | Numbers::Bf16) => SumOrder::serial(k).and(more),
+        Numbers::F32 | Numbers::Bf16 => SumOrder::serial(k).and(more),
         // Sums are exact. What is rounded is each input and weight, as the numbers that they stand for, both
         // scales, of what was rounded before, the sum as f32, and that by both scales.
-        Some(Numbers::Int8) => SumOrder::serial(1).and(10 + more),
+        Numbers::Int8 => SumOrder::serial(1).and(10 + more),
     }
 }
 
@@ -30,14 +23,14 @@ const PANEL: usize = 64;
 /// Fewest rows of a part where rows are shared: fewer take longer to fetch their weights than to multiply.
 const LEAST_ROWS: usize = 16;
 
-/// Outputs of which narrow numbers are multiplied together.
+/// Outputs that are multiplied together.
 const LANES: usize = 16;
 /// Weights, in words, by which all rows are multiplied before the next: 32 KiB, which stay in the first-level cache.
 const MOST_WEIGHTS: usize = 8 * 1024;
 
 /// Weights of O outputs of rows of K words, `[⌈O / PANEL⌉][K][PANEL]`, the last panel narrower. A word is a number, or
-/// several narrow ones; of those a panel's outputs are filled up to sixteens, and behind those of 8 bits
-/// lie each output's step and its weights' sum.
+/// several narrow ones. The last panel's outputs are filled up to sixteens, and behind weights of 8 bits lie each output's
+/// step and its weights' sum.
 ///
 /// Few rows take as long as their weights take to come from memory, and in panels those come in their order:
 /// 10 rows of 12 544 inputs take 2.6 ms for 512 outputs, and 7.2 where weights lie as `[K][O]`; 100 rows
@@ -48,36 +41,28 @@ pub(super) struct Panels<'a> {
     outputs: usize,
     /// Words of a row.
     inner: usize,
-    numbers: Option<Numbers>,
+    numbers: Numbers,
 }
 
 impl<'a> Panels<'a> {
     /// What [`Panels::packed`] packed for rows of `inner` numbers, or [`Panels::fill`].
-    pub fn of(
-        packed: &'a [f32],
-        (outputs, inner): (usize, usize),
-        numbers: Option<Numbers>,
-    ) -> Self {
-        let inner = numbers.map_or(inner, |numbers| inner.div_ceil(numbers.a_word()));
-        Self { packed, outputs, inner, numbers }
+    pub fn of(packed: &'a [f32], (outputs, inner): (usize, usize), numbers: Numbers) -> Self {
+        Self { packed, outputs, inner: inner.div_ceil(numbers.a_word()), numbers }
     }
 
     /// `weight(o, k)` packed for `inner` inputs, whole words of them.
     pub fn packed(
         (outputs, inner): (usize, usize),
-        numbers: Option<Numbers>,
+        numbers: Numbers,
         weight: impl Fn(usize, usize) -> f32,
     ) -> Vec<f32> {
-        let stride = filled_up(outputs, numbers);
-        let numbers = match numbers {
-            None | Some(Numbers::F32) => {
-                let mut packed = vec![0.0; stride * inner];
-                let padded = |o, k| if o < outputs { weight(o, k) } else { 0.0 };
-                Self::fill(&mut packed, inner, padded);
-                return packed;
-            }
-            Some(narrow) => narrow,
-        };
+        let stride = outputs.next_multiple_of(LANES);
+        if numbers == Numbers::F32 {
+            let mut packed = vec![0.0; stride * inner];
+            let padded = |o, k| if o < outputs { weight(o, k) } else { 0.0 };
+            Self::fill(&mut packed, inner, padded);
+            return packed;
+        }
         let words = inner / numbers.a_word();
         let mut rounded = vec![0.0; stride * words];
         let mut ends = vec![0.0; if numbers == Numbers::Int8 { 2 * stride } else { 0 }];
@@ -110,13 +95,13 @@ impl<'a> Panels<'a> {
     /// The weight of an output for an input, in f32.
     pub fn at(self, output: usize, input: usize) -> f32 {
         let first = output / PANEL * PANEL;
-        let width = PANEL.min(self.outputs - first);
+        let width = PANEL.min(self.stride() - first);
         self.packed[first * self.inner + input * width + output - first]
     }
 
     /// Sums of a row, with those of outputs that only fill up.
     pub fn stride(self) -> usize {
-        filled_up(self.outputs, self.numbers)
+        self.outputs.next_multiple_of(LANES)
     }
 
     /// `sums[j · stride + i] = Σ weight(i, k) · rows[range.start + j][k]`, on the calling thread.
@@ -137,14 +122,6 @@ impl<'a> Panels<'a> {
             sums[..range.len() * stride].fill(0.0);
             return;
         }
-        let Some(numbers) = self.numbers else {
-            for output in outputs.clone().step_by(PANEL) {
-                let (_, width, weights) = self.weights(output, outputs.end);
-                let sums = &mut sums[output - outputs.start..];
-                self.of_floats(weights, width, (sums, stride), rows.rows, range.clone());
-            }
-            return;
-        };
         let end = outputs.end.next_multiple_of(LANES);
         let starts = rows.rows.starts(range.clone());
         let mut words = 0;
@@ -155,12 +132,12 @@ impl<'a> Panels<'a> {
                 let (step, width, weights) = self.weights(output, end);
                 let (weights, add) = (&weights[words * step..], words > 0);
                 let panel = Panel { weights, step, width, rows: part, starts: &starts, add };
-                ways(numbers)[0](&panel, &mut sums[output - outputs.start..], stride);
+                ways(self.numbers)[0](&panel, &mut sums[output - outputs.start..], stride);
                 output += width;
             }
             words += part.length * part.pieces.len();
         }
-        if numbers == Numbers::Int8 {
+        if self.numbers == Numbers::Int8 {
             self.scale(outputs.start..end, (sums, stride), rows, range);
         }
     }
@@ -172,49 +149,6 @@ impl<'a> Panels<'a> {
         let step = PANEL.min(self.stride() - panel);
         let weights = &self.packed[panel * self.inner..][..step * self.inner];
         (step, (panel + step).min(end) - output, &weights[output - panel..])
-    }
-
-    /// Sums in f32 by the library.
-    fn of_floats(
-        self,
-        weights: &[f32],
-        width: usize,
-        (sums, stride): (&mut [f32], usize),
-        rows: Rows,
-        range: Range<usize>,
-    ) {
-        let (k, count) = (self.inner, range.len());
-        let rows = &rows.words[range.start * k..range.end * k];
-        assert!(weights.len() >= k * width && sums.len() >= (count - 1) * stride + width);
-        for first in (0..k).step_by(PART) {
-            let (weights, rows) = (&weights[first * width..], &rows[first..]);
-            // SAFETY: the product reads weights[k' · width + i] and rows[j · K + k'] and writes
-            // sums[j · stride + i] for i < width, j < count, first + k' < K, all of them in the slices by the
-            // assertion; `sums` is borrowed mutably, so it overlaps neither.
-            unsafe {
-                gemm_f32::gemm::f32::get_gemm_fn()(
-                    width,
-                    count,
-                    PART.min(k - first),
-                    sums.as_mut_ptr(),
-                    stride as isize,
-                    1,
-                    first > 0,
-                    weights.as_ptr(),
-                    width as isize,
-                    1,
-                    rows.as_ptr(),
-                    k as isize,
-                    1,
-                    1.0f32,
-                    1.0f32,
-                    false,
-                    false,
-                    false,
-                    gemm_common::Parallelism::None,
-                );
-            }
-        }
     }
 
     /// What a panel's sums of 8 bits stand for: each has its row's zero for each of its weights too much.
@@ -248,11 +182,9 @@ impl<'a> Panels<'a> {
     pub fn shared(self, rows: &Inputs, n: usize) -> Vec<Part> {
         let threads = threads();
         // Of whole panels where there are many, else one for each thread.
-        let width = match self.numbers {
-            Some(_) if self.outputs < 2 * threads * PANEL => {
-                self.outputs.div_ceil(threads).next_multiple_of(LANES)
-            }
-            _ => PANEL * self.outputs.div_ceil(2 * threads * PANEL).max(1),
+        let width = match self.outputs < 2 * threads * PANEL {
+            true => self.outputs.div_ceil(threads).next_multiple_of(LANES),
+            false => PANEL * self.outputs.div_ceil(2 * threads * PANEL),
         };
         let cuts = threads.div_ceil(self.outputs.div_ceil(width).max(1)).min(n / LEAST_ROWS).max(1);
         let each_has = n.div_ceil(cuts).max(1);
@@ -273,11 +205,6 @@ impl<'a> Panels<'a> {
         });
         parts
     }
-}
-
-/// So many outputs, with those that fill up a panel of our own kernels.
-fn filled_up(outputs: usize, numbers: Option<Numbers>) -> usize {
-    numbers.map_or(outputs, |_| outputs.next_multiple_of(LANES))
 }
 
 /// Rows to multiply, and what their words stand for if those are narrow numbers.
@@ -331,29 +258,19 @@ mod tests {
                 let want: Vec<f32> = (0..n * o)
                     .map(|i| (0..k).map(|k| weight(i % o, k) * row(i / o, k)).sum())
                     .collect();
-                for numbers in [None, Some(Numbers::F32), Some(Numbers::Bf16), Some(Numbers::Int8)]
-                {
-                    if numbers.is_some_and(|numbers| ways(numbers).is_empty()) {
-                        continue;
-                    }
+                for numbers in [Numbers::F32, Numbers::Bf16, Numbers::Int8] {
+                    let [first, others @ ..] = ways(numbers) else { continue };
                     let packed = Panels::packed((o, k), numbers, weight);
                     let panels = Panels::of(&packed, (o, k), numbers);
                     let mut sums = vec![f32::NAN; n * panels.stride()];
-                    let rounded = numbers.map(|numbers| words::rows(numbers, &inputs, k));
-                    let rows = match &rounded {
-                        None => Inputs::floats(&inputs, k),
-                        Some(rounded) => Inputs {
-                            rows: Rows::contiguous(&rounded.words, panels.inner),
-                            scales: &rounded.scales,
-                        },
-                    };
+                    let rounded = words::rows(numbers, &inputs, k);
+                    let rows = Rows::contiguous(&rounded.words, panels.inner);
+                    let rows = Inputs { rows, scales: &rounded.scales };
                     panels.multiply(&mut sums, &rows, 0..n);
                     for (sums, want) in sums.chunks(panels.stride()).zip(want.chunks(o)) {
                         assert_eq!(sums[..o], *want, "{n} rows, {o} outputs of {k}: {numbers:?}");
                     }
                     // The other ways give the same bits.
-                    let others =
-                        numbers.map_or(&[][..], |numbers| ways(numbers).get(1..).unwrap_or(&[]));
                     for way in others {
                         let width = PANEL.min(panels.stride());
                         let starts = rows.rows.starts(0..n);
@@ -368,7 +285,7 @@ mod tests {
                         };
                         let [mut one, mut other] = [(); 2].map(|()| vec![f32::NAN; n * width]);
                         way(&panel, &mut one, width);
-                        ways(numbers.expect("narrow"))[0](&panel, &mut other, width);
+                        first(&panel, &mut other, width);
                         assert!(
                             one.iter().map(|x| x.to_bits()).eq(other.iter().map(|x| x.to_bits()))
                         );
@@ -378,24 +295,24 @@ mod tests {
         }
     }
 
-    /// 66 outputs of three inputs, output o of input k being 10 o + k: 64 in a panel, and two.
+    /// 80 outputs of three inputs, output o of input k being 10 o + k: 64 in a panel, and 16.
     #[test]
     fn weights_lie_in_panels() {
-        let mut packed = vec![f32::NAN; 66 * 3];
+        let mut packed = vec![f32::NAN; 80 * 3];
         Panels::fill(&mut packed, 3, |o, k| (10 * o + k) as f32);
         assert_eq!(packed[..2], [0.0, 10.0]);
         assert_eq!(packed[64..66], [1.0, 11.0]);
-        assert_eq!(packed[192..], [640.0, 650.0, 641.0, 651.0, 642.0, 652.0]);
-        let panels = Panels::of(&packed, (66, 3), None);
+        assert_eq!([&packed[192..194], &packed[208..210]], [[640.0, 650.0], [641.0, 651.0]]);
+        let panels = Panels::of(&packed, (80, 3), Numbers::F32);
         assert_eq!([panels.at(63, 2), panels.at(64, 0), panels.at(65, 1)], [632.0, 640.0, 651.0]);
 
         // Two rows: the sum of an output's weights, and its first.
         let rows = [1.0, 1.0, 1.0, 1.0, 0.0, 0.0];
         let want = |row: usize, o: usize| if row == 0 { 30 * o + 3 } else { 10 * o } as f32;
-        let mut sums = vec![f32::NAN; 2 * 66];
+        let mut sums = vec![f32::NAN; 2 * 80];
         let rows = Inputs::floats(&rows, 3);
         panels.multiply(&mut sums, &rows, 0..2);
-        assert!((0..2 * 66).all(|i| sums[i] == want(i / 66, i % 66)), "{sums:?}");
+        assert!((0..2 * 80).all(|i| sums[i] == want(i / 80, i % 80)), "{sums:?}");
         for Part { first, outputs, rows, sums, .. } in panels.shared(&rows, 2) {
             assert_eq!(rows, 0..2);
             assert!((0..2 * outputs).all(|i| sums[i] == want(i / outputs, first + i % outputs)));
@@ -406,18 +323,22 @@ mod tests {
     #[test]
     fn parts_cover_each_sum_once() {
         for (n, o) in [(0, 5), (1, 3), (23, 70), (100, 192), (400, 96), (100, 512)] {
-            let mut packed = vec![0.0; o * 3];
-            Panels::fill(&mut packed, 3, |o, k| (10 * o + k) as f32);
+            let packed = Panels::packed((o, 3), Numbers::F32, |o, k| (10 * o + k) as f32);
             let rows: Vec<f32> = (0..n * 3).map(|i| (i % 7) as f32).collect();
-            let panels = Panels::of(&packed, (o, 3), None);
-            let mut all = vec![f32::NAN; n * o];
+            let panels = Panels::of(&packed, (o, 3), Numbers::F32);
+            let stride = panels.stride();
+            let mut all = vec![f32::NAN; n * stride];
             let rows = Inputs::floats(&rows, 3);
             panels.multiply(&mut all, &rows, 0..n);
             let mut seen = 0;
-            for Part { first, outputs, rows, sums, .. } in panels.shared(&rows, n) {
-                seen += sums.len();
-                for (row, sums) in rows.zip(sums.chunks_exact(outputs)) {
-                    assert_eq!(sums, &all[row * o + first..][..outputs], "{n} × {o}");
+            for Part { first, outputs, stride: own, rows, sums } in panels.shared(&rows, n) {
+                seen += rows.len() * outputs;
+                for (row, sums) in rows.zip(sums.chunks_exact(own)) {
+                    assert_eq!(
+                        sums[..outputs],
+                        all[row * stride + first..][..outputs],
+                        "{n} × {o}"
+                    );
                 }
             }
             assert_eq!(seen, n * o);

@@ -25,8 +25,8 @@ pub(super) struct FullyConnected {
     layout: Layout,
     /// Inputs of a row.
     inner: usize,
-    /// What is multiplied, if not f32.
-    numbers: Option<Numbers>,
+    /// What is multiplied.
+    numbers: Numbers,
     weight: Arc<Vec<f32>>,
     bias: Vec<f32>,
 }
@@ -46,7 +46,7 @@ impl FullyConnected {
             _ => (Layout::Planar, inner, 1),
         };
         let numbers = pack.numbers_of(outputs, inner.next_multiple_of(4), true);
-        let padded = inner.next_multiple_of(numbers.map_or(1, Numbers::a_word));
+        let padded = inner.next_multiple_of(numbers.a_word());
         let channels_last = |weight: &Tensor| {
             Panels::packed((outputs, padded), numbers, |o, k| {
                 let (pixel, channel) = (k / channels, k % channels);
@@ -73,7 +73,7 @@ impl Kernel for FullyConnected {
     }
 
     fn precision(&self) -> Precision {
-        self.numbers.map_or(Precision::F32, Numbers::precision)
+        self.numbers.precision()
     }
 
     fn tolerance(&self, inputs: &[&Value]) -> crate::error::Result<Option<Vec<f64>>> {
@@ -92,16 +92,11 @@ impl Kernel for FullyConnected {
         let outputs_a_row = self.bias.len();
         let input = &input[..rows * self.inner];
         let weight = Panels::of(&self.weight, (outputs_a_row, self.inner), self.numbers);
-        let parts = match self.numbers {
-            None => weight.shared(&Inputs::floats(input, self.inner), rows),
-            Some(numbers) => {
-                let rounded = words::rows(numbers, input, self.inner);
-                let words = self.inner.div_ceil(numbers.a_word());
-                let lie = Rows::contiguous(&rounded.words, words);
-                weight.shared(&Inputs { rows: lie, scales: &rounded.scales }, rows)
-            }
-        };
-        for Part { first, outputs: count, stride, rows, sums } in parts {
+        let rounded = words::rows(self.numbers, input, self.inner);
+        let words = self.inner.div_ceil(self.numbers.a_word());
+        let lie = Rows::contiguous(&rounded.words, words);
+        let inputs = Inputs { rows: lie, scales: &rounded.scales };
+        for Part { first, outputs: count, stride, rows, sums } in weight.shared(&inputs, rows) {
             let bias = &self.bias[first..][..count];
             for (row, sums) in rows.zip(sums.chunks_exact(stride)) {
                 let to = &mut outputs[0][row * outputs_a_row + first..][..count];

@@ -7,12 +7,11 @@ use super::words::Numbers;
 use crate::engine::graph::{Graph, Node};
 use crate::engine::lock::lock;
 use crate::engine::ops::winograd::POINTS;
-use crate::engine::precision::Precision;
 use crate::engine::tensor::{Constant, Tensor};
 use crate::error::Result;
 
-/// A tensor's name, how it is packed, and in which numbers if not in f32.
-type Key = (String, &'static str, Option<Numbers>);
+/// A tensor's name, how it is packed, and in which numbers.
+type Key = (String, &'static str, Numbers);
 
 /// Most bytes that the transformed weights of a network may take. Those of the large network take 430 MB where
 /// its input is so large that all are; with as many weights as a file may hold it would be 2 GiB.
@@ -49,18 +48,17 @@ pub(super) struct Pack<'a> {
     pub all: &'a Packs,
     pub name: &'a str,
     pub weight: &'a Constant,
-    /// What is multiplied where the kernel knows how, if not f32.
-    pub numbers: Option<Numbers>,
+    /// What is multiplied where that pays.
+    pub numbers: Numbers,
 }
 
 impl Pack<'_> {
     /// What is multiplied for so many outputs of so many inputs. Narrow numbers are where they pay: not where an input
     /// is rounded for few products, as with few outputs, or if it is not `reused` at other places, and not where a
     /// sum of 8 bits might not fit.
-    pub fn numbers_of(&self, outputs: usize, inputs: usize, reused: bool) -> Option<Numbers> {
+    pub fn numbers_of(&self, outputs: usize, inputs: usize, reused: bool) -> Numbers {
         let pays = outputs >= LEAST_OUTPUTS && reused && inputs <= MOST_INPUTS;
-        let floats = || Numbers::of(Precision::F32);
-        if pays { self.numbers } else { self.numbers.and_then(|_| floats()) }
+        if pays { self.numbers } else { Numbers::F32 }
     }
 
     /// The weight's sizes.
@@ -75,7 +73,7 @@ impl Pack<'_> {
     pub fn get(
         &self,
         manner: &'static str,
-        numbers: Option<Numbers>,
+        numbers: Numbers,
         make: impl FnOnce(&Tensor) -> Vec<f32>,
     ) -> Result<Arc<Vec<f32>>> {
         let mut all = lock(&self.all.all);
@@ -123,8 +121,8 @@ mod tests {
             Ok(Tensor::new([2], vec![1.0f32, 2.0])?.into())
         });
         let all = Packs::default();
-        let pack = Pack { all: &all, name: "w", weight: &weight, numbers: None };
-        let get = |manner| pack.get(manner, None, |w| w.data().to_vec()).expect("a weight");
+        let pack = Pack { all: &all, name: "w", weight: &weight, numbers: Numbers::F32 };
+        let get = |manner| pack.get(manner, Numbers::F32, |w| w.data().to_vec()).expect("a weight");
         assert_eq!([get("one"), get("one")].map(|packed| packed.to_vec()), [[1.0, 2.0]; 2]);
         assert_eq!(made.load(Ordering::Relaxed), 1);
         get("another");
@@ -133,8 +131,8 @@ mod tests {
         let broken = Constant::made(TensorSpec::f32([2]), || {
             Tensor::<f32>::new([2], vec![]).map(Into::into)
         });
-        let pack = Pack { all: &all, name: "broken", weight: &broken, numbers: None };
-        assert!(pack.get("one", None, |w| w.data().to_vec()).is_err());
-        assert!(pack.get("one", None, |w| w.data().to_vec()).is_err());
+        let pack = Pack { all: &all, name: "broken", weight: &broken, numbers: Numbers::F32 };
+        assert!(pack.get("one", Numbers::F32, |w| w.data().to_vec()).is_err());
+        assert!(pack.get("one", Numbers::F32, |w| w.data().to_vec()).is_err());
     }
 }

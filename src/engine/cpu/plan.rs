@@ -106,7 +106,7 @@ impl CpuPlan {
         like: Option<&Self>,
         precision: Precision,
     ) -> Result<Self> {
-        let numbers = Numbers::of(precision);
+        let numbers = Numbers::of(precision).unwrap_or(Numbers::F32);
         let packs = like.map_or_else(|| Arc::new(Packs::new(graph)), |plan| plan.packs.clone());
         let mut builder =
             Builder { graph, packs: &packs, numbers, made: HashMap::new(), steps: Vec::new() };
@@ -322,7 +322,7 @@ impl CpuPlan {
 struct Builder<'a> {
     graph: &'a Graph,
     packs: &'a Packs,
-    numbers: Option<Numbers>,
+    numbers: Numbers,
     /// The layout in which each tensor is made.
     made: HashMap<TensorId, Layout>,
     steps: Vec<Step>,

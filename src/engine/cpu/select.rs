@@ -21,7 +21,7 @@ pub(super) fn kernel(
     inputs: &[TensorSpec],
     outputs: &[TensorSpec],
     constants: &[Option<&Constant>],
-    (packs, numbers): (&packs::Packs, Option<Numbers>),
+    (packs, numbers): (&packs::Packs, Numbers),
     name: &str,
 ) -> Result<Option<Box<dyn Kernel>>> {
     let any: &dyn Any = op;

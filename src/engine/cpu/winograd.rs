@@ -15,7 +15,6 @@ use super::words::Numbers;
 use crate::engine::cores::{each, each_with, threads};
 use crate::engine::ops::Conv2d;
 use crate::engine::ops::winograd::{IN, OUT, POINTS, error_bound, point_weight};
-use crate::engine::precision::Precision;
 use crate::engine::tensor::Tensor;
 use crate::error::Result;
 
@@ -44,8 +43,6 @@ fn transformed(shape: MapShape, weight: &Tensor) -> Vec<f32> {
 #[derive(Debug)]
 pub(super) struct Winograd {
     shape: MapShape,
-    /// f32, where this CPU has a kernel of ours.
-    numbers: Option<Numbers>,
     /// G g Gᵀ of each of the 36 points, in [`Panels`].
     weight: Arc<Vec<f32>>,
 }
@@ -64,8 +61,8 @@ impl Winograd {
     /// # Errors
     /// As [`Pack::get`].
     pub fn new(shape: MapShape, pack: Pack) -> Result<Self> {
-        let weight = pack.get("winograd", None, |weight| transformed(shape, weight))?;
-        Ok(Self { shape, numbers: Numbers::of(Precision::F32), weight })
+        let weight = pack.get("winograd", Numbers::F32, |weight| transformed(shape, weight))?;
+        Ok(Self { shape, weight })
     }
 
     /// How far each output may be from the definition's, `[O, H, W]`, for absolute values of the
@@ -78,7 +75,7 @@ impl Winograd {
     ) -> Vec<f64> {
         let MapShape { in_c, out_c, .. } = self.shape;
         let weight = |point, i, o| self.of_point(point).at(o, i);
-        error_bound(input, out_c, weight, bias, residual, order(self.numbers, in_c, 0))
+        error_bound(input, out_c, weight, bias, residual, order(Numbers::F32, in_c, 0))
     }
 
     fn tiles(&self) -> (usize, usize) {
@@ -173,7 +170,7 @@ impl Winograd {
     fn of_point(&self, point: usize) -> Panels<'_> {
         let MapShape { in_c, out_c, .. } = self.shape;
         let weight = &self.weight[point * in_c * out_c..][..in_c * out_c];
-        Panels::of(weight, (out_c, in_c), self.numbers)
+        Panels::of(weight, (out_c, in_c), Numbers::F32)
     }
 
     /// Bᵀ d B of `tile`, written as tile `to` of `count` in `points` `[36, count, I]`.

@@ -4,7 +4,7 @@ use std::ops::Deref;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use super::scratch::Scratch;
-use super::tiles::ways;
+use super::tiles::{SIGNED, ways};
 use crate::engine::cores::each;
 use crate::engine::precision::Precision;
 use crate::engine::reference::vectorised;
@@ -54,30 +54,33 @@ impl Numbers {
 
 /// Whether this machine's cores multiply in this precision.
 pub fn multiplies(precision: Precision) -> bool {
-    precision == Precision::F32 || Numbers::of(precision).is_some()
+    Numbers::of(precision).is_some()
 }
 
 /// From here on to some more f32 has whole numbers alone, so that a sum with it is rounded to one, ties to even, which
 /// its lowest bits are: those of this number are 0.
 pub(super) const WHOLE: f32 = 12_582_912.0;
 
+/// What is taken from an input of 8 bits to give it a sign.
+const SIGN: i16 = if SIGNED { 128 } else { 0 };
+
 /// What a number of 8 bits stands for: `step · (number − zero)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Scale {
     pub step: f32,
-    pub zero: u8,
+    pub zero: i16,
 }
 
 impl Scale {
     /// Of numbers that stand for themselves.
     const NONE: Self = Self { step: 1.0, zero: 0 };
 
-    /// Numbers without a sign, for inputs: from zero on, or to both sides of 128 if any of them is negative. Of
+    /// Numbers for inputs: to both sides of the middle if any of them is negative, else from the least on. Of
     /// inputs of which one is not finite, NaN.
     fn of_inputs(range: Range) -> Self {
         match range.is_negative() {
-            true => Self::new(range, 127.0, 128),
-            false => Self::new(range, 255.0, 0),
+            true => Self::new(range, 127.0, 128 - SIGN),
+            false => Self::new(range, 255.0, -SIGN),
         }
     }
 
@@ -86,7 +89,7 @@ impl Scale {
         Self::new(range, 127.0, 0)
     }
 
-    fn new(range: Range, most: f32, zero: u8) -> Self {
+    fn new(range: Range, most: f32, zero: i16) -> Self {
         let step = range.largest() / most;
         // What is subnormal instructions may take for zero.
         let step = if step < f32::MIN_POSITIVE { 0.0 } else { step };
@@ -255,7 +258,7 @@ pub(super) fn map(
     };
     let zeros = match numbers {
         Numbers::F32 | Numbers::Bf16 => 0.0,
-        Numbers::Int8 => f32::from_bits(u32::from(scale.zero) * 0x0101_0101),
+        Numbers::Int8 => f32::from_bits(u32::from(scale.zero as u8) * 0x0101_0101),
     };
     let words_a_pixel = channels.div_ceil(numbers.a_word());
     let line = (width + 2 * padding) * words_a_pixel;
@@ -310,8 +313,9 @@ pub(crate) fn in_8_bits(tensor: &Tensor, group: usize, is_weight: bool) -> Optio
         }
         data.extend(group.iter().map(|x| {
             let number = scale.number(*x);
-            let number = if is_weight { i32::from(number as i8) } else { i32::from(number) };
-            scale.step * (number - i32::from(scale.zero)) as f32
+            let signed = is_weight || SIGNED;
+            let number = if signed { i16::from(number as i8) } else { i16::from(number) };
+            scale.step * f32::from(number - scale.zero)
         }));
     }
     Tensor::new(tensor.shape().clone(), data).ok()
@@ -320,6 +324,12 @@ pub(crate) fn in_8_bits(tensor: &Tensor, group: usize, is_weight: bool) -> Optio
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// As they are where they have no sign.
+    fn bytes(rounded: &Rounded) -> Vec<u8> {
+        let words = bytemuck::cast_slice::<f32, u8>(&rounded.words);
+        words.iter().map(|number| number.wrapping_add(SIGN as u8)).collect()
+    }
 
     /// Each as the crate `half` rounds it.
     #[test]
@@ -343,15 +353,14 @@ mod tests {
     /// 255 steps up to the largest, or 127 to each side; ties go to the even one.
     #[test]
     fn eight_bits_reach_to_the_largest() {
-        let bytes = |rounded: &Rounded| bytemuck::cast_slice::<f32, u8>(&rounded.words).to_vec();
         let positive = rows(Numbers::Int8, &[0.0, 255.0, 0.5, 1.5, 2.4, -0.0], 6);
         assert_eq!(bytes(&positive), [0, 255, 0, 2, 2, 0, 0, 0]);
-        assert_eq!(positive.scales, [Scale { step: 1.0, zero: 0 }]);
+        assert_eq!(positive.scales, [Scale { step: 1.0, zero: -SIGN }]);
         // Two rows, each by its own largest.
         let signed = rows(Numbers::Int8, &[-254.0, 2.0, 1.0, 0.0, 0.0, 0.0], 3);
         assert_eq!(bytes(&signed), [1, 129, 128, 128, 0, 0, 0, 0]);
-        assert_eq!(signed.scales[0], Scale { step: 2.0, zero: 128 });
-        assert_eq!(signed.scales[1], Scale { step: 0.0, zero: 0 });
+        assert_eq!(signed.scales[0], Scale { step: 2.0, zero: 128 - SIGN });
+        assert_eq!(signed.scales[1], Scale { step: 0.0, zero: -SIGN });
         // A map of two pixels and three channels has its zeros round it.
         let map = map(Numbers::Int8, &[-127.0, 1.0, 2.0, 3.0, 4.0, 127.0], [1, 2, 3], 1);
         let zeros = [128; 4];
@@ -380,8 +389,8 @@ mod tests {
         }
         let tiny = rows(Numbers::Int8, &[1e-40, -1e-38], 2);
         assert_eq!(tiny.scales[0].step, 0.0);
-        assert_eq!(bytemuck::cast_slice::<f32, u8>(&tiny.words), [128; 4]);
+        assert_eq!(bytes(&tiny), [128; 4]);
         let huge = rows(Numbers::Int8, &[f32::MAX, 0.0], 2);
-        assert_eq!(bytemuck::cast_slice::<f32, u8>(&huge.words)[0], 255);
+        assert_eq!(bytes(&huge)[0], 255);
     }
 }

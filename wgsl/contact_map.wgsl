@@ -6,23 +6,6 @@
 // include: bound
 // include: index
 
-struct Params {
-    height: u32,
-    width: u32,
-    // Tiles in a row, and all of them.
-    columns: u32,
-    tiles: u32,
-    least: f32,
-    most: f32,
-    clipped: f32,
-    reach: u32,
-    factor: f32,
-    // 1 where there is a reference frame.
-    referenced: u32,
-    // Always 0: in a loop's bound it keeps compilers from unrolling.
-    zero: u32,
-}
-
 const TILE: u32 = 2u;
 const LEVEL: f32 = 128.0;
 const DARK: f32 = 16.0;

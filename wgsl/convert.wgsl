@@ -4,12 +4,6 @@
 // include: quads
 // include: texels
 
-struct Params {
-    map: Quads,
-    // Elements of a planar picture.
-    stride: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> planar: array<f32>;
 @group(0) @binding(2) var<storage, read_write> quads: array<OutputTexel>;

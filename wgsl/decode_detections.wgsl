@@ -1,20 +1,5 @@
 // A box, a score and its logit for each region and class but the background, from the RoI head's outputs.
 
-struct Params {
-    rois: u32,
-    classes: u32,
-    // Bit c: class c is wanted.
-    class_mask: u32,
-    picture_width: f32,
-    picture_height: f32,
-    weight_x: f32,
-    weight_y: f32,
-    weight_width: f32,
-    weight_height: f32,
-    // One by the temperature.
-    scale: f32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> rois: array<vec4<f32>>;
 // [rois][classes], the background first

@@ -1,9 +1,5 @@
 // The pose of each detection, from its row of the RoI head; an invocation each.
 
-struct Params {
-    capacity: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 // (c, s, v, vx, vy, w) each
 @group(0) @binding(1) var<storage, read> rows: array<f32>;

@@ -1,15 +1,5 @@
 // Boxes and scores of the chosen anchors, from the region proposal head's maps.
 
-struct Params {
-    anchors: u32,
-    height: u32,
-    width: u32,
-    capacity: u32,
-    stride: f32,
-    picture_width: f32,
-    picture_height: f32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 // [anchors][dx, dy, dw, dh][height][width]
 @group(0) @binding(1) var<storage, read> deltas: array<f32>;

@@ -1,11 +1,5 @@
 // Copies the rows that a list of indices names. The element type does not matter: bits are copied.
 
-struct Params {
-    rows: u32,
-    columns: u32,
-    capacity: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> rows: array<u32>;
 @group(0) @binding(2) var<storage, read> indices: array<u32>;

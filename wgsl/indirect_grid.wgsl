@@ -1,17 +1,5 @@
 // Turns a count on the device into the arguments of indirect dispatches, those of one an invocation.
 
-struct Rule {
-    capacity: u32,
-    items_per_count: u32,
-    workgroup_size: u32,
-    layers: u32,
-}
-
-struct Params {
-    rules: array<Rule, 16>,
-    used: u32,
-}
-
 const MAX_WORKGROUPS: u32 = 65535u;
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -5,20 +5,6 @@
 // a time. It is a chain of steps, so what a step needs is read at once: a load that waits for another takes a
 // GPU longer than all else here.
 
-struct Params {
-    boxes: u32,
-    // Words of 32 boxes in a row of the mask.
-    words: u32,
-    max_out: u32,
-    iou_threshold: f32,
-    min_score: f32,
-    min_size: f32,
-    has_classes: u32,
-    // Always 0; see `rounded` in shared/boxes.wgsl. As part of a bound it keeps the compiler from
-    // unrolling the loop, which takes seconds.
-    zero: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> boxes: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> scores: array<f32>;

@@ -3,28 +3,6 @@
 
 // include: index
 
-struct Part {
-    // Rows, of which a count says how many are in use, and elements of a row.
-    rows: u32,
-    row_elements: u32,
-    // Chunks of this tensor and those before it.
-    end: u32,
-    // Elements of a picture.
-    stride: u32,
-}
-
-struct Params {
-    parts: array<Part, 6>,
-    // Tensors that there are; the other bindings are not read.
-    used: u32,
-    chunks: u32,
-    // Where the first chunk's number goes.
-    first: u32,
-    // Elements of a picture.
-    count_stride: u32,
-    output_stride: u32,
-}
-
 const LANES: u32 = 256u;
 const EXPONENT: u32 = 0x7f800000u;
 

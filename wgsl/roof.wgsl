@@ -2,13 +2,6 @@
 
 // include: index
 
-struct Params {
-    rounds: u32,
-    factor: f32,
-    texels: u32,
-    pad: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read_write> sums: array<f32>;
 @group(0) @binding(2) var<storage, read> texels_in: array<vec4<f32>>;

@@ -1,14 +1,5 @@
 // Softmax of each row in use; one workgroup a row.
 
-struct Params {
-    rows: u32,
-    columns: u32,
-    // One by the temperature.
-    scale: f32,
-    // Always 0; see shared/reduce.wgsl.
-    zero: u32,
-}
-
 const WORKGROUP: u32 = 64u;
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -8,16 +8,6 @@
 
 // include: bound
 
-struct Params {
-    channels: u32,
-    area: u32,
-    k: u32,
-    // k rounded up to a power of two.
-    sort_size: u32,
-    // Always 0: bounds that the compiler does not know keep it from unrolling loops.
-    zero: u32,
-}
-
 const LANES: u32 = 256u;
 // Inverted indices have 24 bits.
 const LOWEST: u32 = 0xffffffu;

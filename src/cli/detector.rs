@@ -77,8 +77,8 @@ pub(super) struct NetworkArgs {
 
     /// How a GPU stores maps and weights, or what cores multiply: `f16`, for GPUs, takes half the memory and is less
     /// exact. A picture that overflows f16 is run again in f32; stderr says so. `bf16` is for cores with AVX-512
-    /// BF16, `int8` for those with AVX-512 VNNI or AVX-VNNI; both are less exact. Others compute in f32, and stderr
-    /// says so.
+    /// BF16 or NEON BF16, `int8` for those with AVX-512 VNNI, AVX-VNNI or NEON dot products; both are less exact.
+    /// Others compute in f32, and stderr says so.
     #[arg(help_heading = "Speed", long, value_name = "f32|f16|bf16|int8", value_parser = known::<Precision>)]
     precision: Option<Precision>,
 

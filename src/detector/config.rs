@@ -134,15 +134,16 @@ pub struct Config {
     pub rebuild_on_loss: bool,
     /// Runs that may be in flight on a GPU at a time, or be computed by the CPU; each takes memory once it is
     /// needed. Fewer callers than cores share all cores, one waiting for the other's sections; as many as there
-    /// are cores compute on one each.
+    /// are cores compute on one each, and so do the pictures of [`GpuDetector::detect_many`] where this is as
+    /// many.
     pub in_flight: usize,
     /// Pictures, or parts of pictures, of one size that a run on a GPU takes together where there are as many:
     /// in [`GpuDetector::detect_many`], and with [`Savings::regions`].
     pub batch: usize,
     /// How a GPU stores maps and weights. In [`Precision::F16`] they take half the memory, and results are
     /// less exact; a picture with values past 65504, which is as far as f16 goes, is computed once more in
-    /// f32: see [`Detections::precision`]. The CPU and the reference know no f16. In [`Precision::Bf16`] cores with
-    /// AVX-512 BF16 multiply what is rounded to it, in [`Precision::Int8`] cores with AVX-512 VNNI or AVX-VNNI; all
+    /// f32: see [`Detections::precision`]. The CPU and the reference know no f16. In [`Precision::Bf16`] and in
+    /// [`Precision::Int8`] cores multiply what is rounded to it, if they have the instructions that it names; all
     /// others know f32 alone.
     pub precision: Precision,
     /// Which kernels run on a GPU; what it does not name is chosen by the adapter's kind.

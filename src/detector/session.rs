@@ -8,6 +8,8 @@ use crate::detector::gate::Gate;
 use crate::detector::pool::Pool;
 use crate::detector::runner::On;
 use crate::detector::{Config, Device, Savings};
+#[cfg(feature = "cpu")]
+use crate::engine::cores::threads;
 use crate::engine::gpu::{AdapterChoice, Gpu, GpuOptions};
 use crate::engine::kernels;
 use crate::engine::lock::lock;
@@ -89,8 +91,8 @@ impl Session {
                 if config.device == Device::Reference || on_cores(asked) != asked =>
             {
                 let wanted = match asked {
-                    Precision::Bf16 => "AVX-512 BF16",
-                    _ => "AVX-512 VNNI or AVX-VNNI",
+                    Precision::Bf16 => "AVX-512 BF16 or NEON BF16",
+                    _ => "AVX-512 VNNI, AVX-VNNI or NEON dot products",
                 };
                 remarks.push(format!(
                     "{asked} is for cores with {wanted}: {adapter} computes as ever"
@@ -141,9 +143,19 @@ impl Session {
         cfg!(feature = "cpu") && self.pool.is_none() && !reference
     }
 
-    /// Pictures that may run together.
+    /// Pictures that may run together: on a GPU in one run, on cores each on one of them.
     pub fn batch(&self) -> usize {
-        self.pool.as_ref().map_or(1, |_| self.config.batch.max(1))
+        match &self.pool {
+            Some(_) => self.config.batch.max(1),
+            #[cfg(feature = "cpu")]
+            None if self.on_cores() && self.config.in_flight >= threads() => threads(),
+            None => 1,
+        }
+    }
+
+    /// Batches to begin before the first is waited for.
+    pub fn ahead(&self) -> usize {
+        self.pool.as_ref().map_or(1, |_| self.config.in_flight.max(1))
     }
 
     /// The network for one picture at a time with inputs of `size`, height and width, in the precision that is
@@ -169,7 +181,9 @@ impl Session {
     pub async fn compiled(&self, key: Key) -> Result<Arc<Compiled>> {
         // What cannot do without it has one for both.
         let deepest = key.deepest || !self.model().variant.leaves_deepest();
-        let key = Key { deepest, ..key };
+        // Cores take each picture for itself.
+        let batch = self.pool.as_ref().map_or(1, |_| key.batch);
+        let key = Key { deepest, batch, ..key };
         let build = async || {
             let like = self.ready.best(|other| (other.precision == key.precision, other.deepest));
             let Key { size, precision, batch, proposals, deepest } = key;

@@ -20,10 +20,12 @@ pub enum Precision {
     F32,
     /// IEEE 754's binary16: 11 bits of significand, at most 65504, which is half the memory. For GPUs.
     F16,
-    /// The upper half of an f32: 8 bits of significand. For cores that multiply it, AVX-512's; maps stay in f32.
+    /// The upper half of an f32: 8 bits of significand. For cores that multiply it, by AVX-512 BF16 or
+    /// NEON BF16; maps stay in f32.
     Bf16,
     /// Integers of 8 bits, by scales: of each output's weights, each row of a layer's input, each map that a
-    /// convolution reads. For cores that multiply them: AVX-512 VNNI and AVX-VNNI; maps stay in f32.
+    /// convolution reads. For cores that multiply them, by AVX-512 VNNI, AVX-VNNI or NEON's dot products; maps stay in
+    /// f32.
     Int8,
 }
 

@@ -5,13 +5,51 @@ use naga::valid::{Capabilities, ValidationFlags, Validator};
 use crate::engine::precision::Precision;
 use crate::error::{Error, Result};
 
-/// Field names and offsets of a Rust struct that mirrors a shader's `Params`.
+/// What a shader reads from its uniform: a number, or what is made of such.
+pub(crate) trait Uniform {
+    /// The type's name in WGSL.
+    fn name() -> String;
+
+    /// Adds the declarations of the structs that it is made of, each once.
+    fn declare(_structs: &mut Vec<String>) {}
+}
+
+impl Uniform for u32 {
+    fn name() -> String {
+        "u32".into()
+    }
+}
+
+impl Uniform for f32 {
+    fn name() -> String {
+        "f32".into()
+    }
+}
+
+impl<T: Uniform, const N: usize> Uniform for [T; N] {
+    fn name() -> String {
+        format!("array<{}, {N}>", T::name())
+    }
+
+    fn declare(structs: &mut Vec<String>) {
+        T::declare(structs);
+    }
+}
+
+/// A shader's `Params`, which Rust declares for both: see [`shader_params`].
 #[derive(Clone, Copy, Debug)]
 pub struct ParamLayout {
     /// Size of the struct in bytes.
     pub size: usize,
     /// Name and offset of each field.
     pub fields: &'static [(&'static str, usize)],
+    /// Adds the declarations in WGSL of the struct and of those that it is made of.
+    pub declare: fn(&mut Vec<String>),
+}
+
+impl ParamLayout {
+    /// Of a shader without parameters.
+    pub const NONE: Self = Self { size: 0, fields: &[], declare: |_| {} };
 }
 
 /// A shader file under `wgsl/`.
@@ -21,14 +59,14 @@ pub struct Shader {
     pub stem: &'static str,
     /// Text of the file.
     pub source: &'static str,
-    /// Layout of its `Params`, to be compared with naga's.
+    /// Its `Params`, which are declared behind the text.
     pub params: ParamLayout,
 }
 
 /// How a shader's text is to be read: which lines, and with which constants.
 ///
 /// Lines between `#if NAME` and `#else` or `#endif` count where NAME is among the flags (`#if !NAME`:
-/// where it is not). Each constant is declared as a `u32` behind the text.
+/// where it is not). The shader's `Params` are declared behind the text, and each constant as a `u32`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Variant {
     /// Names that hold.
@@ -96,17 +134,50 @@ impl Replacement {
     }
 }
 
-/// Declares `Params`, the Rust mirror of a shader's uniform, and its [`ParamLayout`].
-macro_rules! shader_params {
-    (struct Params { $($field:ident : $type:ty),+ $(,)? }) => {
-        /// Mirror of the shader's `Params`.
+/// Declares a struct for Rust and for shaders.
+macro_rules! shader_struct {
+    ($(#[$attribute:meta])* $vis:vis struct $name:ident {
+        $($(#[$field_attribute:meta])* $field_vis:vis $field:ident : $type:ty),+ $(,)?
+    }) => {
+        $(#[$attribute])*
         #[repr(C)]
         #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
-        struct Params { $($field: $type),+ }
+        $vis struct $name { $($(#[$field_attribute])* $field_vis $field: $type),+ }
+
+        impl $crate::engine::shader::Uniform for $name {
+            fn name() -> String {
+                stringify!($name).into()
+            }
+
+            fn declare(structs: &mut Vec<String>) {
+                $(<$type as $crate::engine::shader::Uniform>::declare(structs);)+
+                let fields = [$((
+                    stringify!($field),
+                    <$type as $crate::engine::shader::Uniform>::name(),
+                )),+];
+                let fields = fields.map(|(field, name)| format!("    {field}: {name},\n"));
+                let own = format!("struct {} {{\n{}}}\n", Self::name(), fields.concat());
+                if !structs.contains(&own) {
+                    structs.push(own);
+                }
+            }
+        }
+    };
+}
+pub(crate) use shader_struct;
+
+/// Declares `Params`, a shader's uniform, for Rust and for the shader, and its [`ParamLayout`].
+macro_rules! shader_params {
+    (struct Params { $($(#[$attribute:meta])* $field:ident : $type:ty),+ $(,)? }) => {
+        $crate::engine::shader::shader_struct! {
+            /// What the shader reads from its uniform.
+            struct Params { $($(#[$attribute])* $field: $type),+ }
+        }
 
         const PARAMS: $crate::engine::shader::ParamLayout = $crate::engine::shader::ParamLayout {
             size: std::mem::size_of::<Params>(),
             fields: &[$((stringify!($field), std::mem::offset_of!(Params, $field))),+],
+            declare: <Params as $crate::engine::shader::Uniform>::declare,
         };
     };
 }
@@ -147,8 +218,6 @@ pub struct Reflection {
     pub text: String,
     /// Every entry point.
     pub entries: Vec<EntryReflection>,
-    /// Size of `Params` and offset of each member, if the shader has one.
-    pub params: Option<(u32, Vec<(String, u32)>)>,
     /// The text, parsed.
     pub module: naga::Module,
 }
@@ -210,6 +279,9 @@ impl Expanded {
             whole.text.push('\n');
             whole.push(&format!("{file}.wgsl"), text, variant)?;
         }
+        let mut structs = Vec::new();
+        (shader.params.declare)(&mut structs);
+        structs.iter().for_each(|declared| whole.text.push_str(declared));
         for (name, value) in &variant.constants {
             whole.text.push_str(&format!("const {name}: u32 = {value}u;\n"));
         }
@@ -239,11 +311,11 @@ impl Shader {
     }
 }
 
-/// Parses and validates `shader` and compares its `Params` with Rust's mirror.
+/// Parses and validates `shader` and compares where its `Params` lie with where Rust has them.
 ///
 /// # Errors
 /// [`Error::Shader`] with file and line if it does not compile, if it binds outside group 0, or if
-/// the two layouts of `Params` differ.
+/// the two layouts of `Params` differ, as alignment may have it.
 pub fn reflect(shader: &Shader, variant: &Variant) -> Result<Reflection> {
     reflect_with(shader, variant, &[])
 }
@@ -275,18 +347,14 @@ pub(crate) fn reflect_with(
     let mut layouter = naga::proc::Layouter::default();
     layouter.update(module.to_ctx()).map_err(|e| shader.error(0, e.to_string()))?;
 
-    let mut params = None;
     for (_, ty) in module.types.iter() {
         if let (Some("Params"), naga::TypeInner::Struct { members, span }) =
             (ty.name.as_deref(), &ty.inner)
         {
             let fields: Vec<_> =
                 members.iter().map(|m| (m.name.clone().unwrap_or_default(), m.offset)).collect();
-            params = Some((*span, fields));
+            check_params(shader, *span, &fields)?;
         }
-    }
-    if let Some((span, fields)) = &params {
-        check_params(shader, *span, fields)?;
     }
 
     let mut entries = Vec::new();
@@ -330,7 +398,7 @@ pub(crate) fn reflect_with(
             reads_grid: reads_grid(&module, entry),
         });
     }
-    Ok(Reflection { text: expanded.text, entries, params, module })
+    Ok(Reflection { text: expanded.text, entries, module })
 }
 
 fn reads_grid(module: &naga::Module, entry: &naga::EntryPoint) -> bool {
@@ -377,10 +445,11 @@ fn check_params(shader: &Shader, span: u32, fields: &[(String, u32)]) -> Result<
 mod tests {
     use super::*;
 
-    const NONE: ParamLayout = ParamLayout { size: 0, fields: &[] };
-
     fn place(source: &'static str) -> (String, u32) {
-        match reflect(&Shader { stem: "own", source, params: NONE }, &Variant::default()) {
+        match reflect(
+            &Shader { stem: "own", source, params: ParamLayout::NONE },
+            &Variant::default(),
+        ) {
             Err(Error::Shader { file, line, .. }) => (file, line),
             other => panic!("{other:?}"),
         }
@@ -396,7 +465,7 @@ mod tests {
     #[test]
     fn a_line_of_the_expanded_text_is_a_line_of_one_file() {
         let source = "// include: relu\n// include: index\n";
-        let shader = Shader { stem: "own", source, params: NONE };
+        let shader = Shader { stem: "own", source, params: ParamLayout::NONE };
         let text = Expanded::new(&shader, &Variant::default(), &[]).expect("includes");
         for (number, content) in text.text.lines().enumerate() {
             let at = naga::SourceLocation {
@@ -446,7 +515,7 @@ mod tests {
             @compute @workgroup_size(1) fn a(@builtin(num_workgroups) n: vec3<u32>) {}
             @compute @workgroup_size(1) fn b(in: In) {}
             @compute @workgroup_size(1) fn c(@builtin(workgroup_id) id: vec3<u32>) {}";
-        let shader = Shader { stem: "own", source, params: NONE };
+        let shader = Shader { stem: "own", source, params: ParamLayout::NONE };
         let entries = reflect(&shader, &Variant::default()).expect("a shader").entries;
         let reads: Vec<bool> = entries.iter().map(|entry| entry.reads_grid).collect();
         assert_eq!(reads, [true, true, false]);
@@ -455,7 +524,7 @@ mod tests {
     #[test]
     fn constants_are_declared() {
         let source = "@compute @workgroup_size(LANES) fn main() {}";
-        let shader = Shader { stem: "own", source, params: NONE };
+        let shader = Shader { stem: "own", source, params: ParamLayout::NONE };
         let reflection = reflect(&shader, &Variant::of(&[("LANES", 8)])).expect("a shader");
         assert_eq!(reflection.entries[0].workgroup_size, [8, 1, 1]);
     }

@@ -7,14 +7,6 @@
 // include: sigmoid
 // include: gates
 
-struct Params {
-    channels: u32,
-    height: u32,
-    width: u32,
-    // Always 0.
-    zero: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> input: array<f32>;
 @group(0) @binding(2) var<storage, read> channel_gate: array<f32>;

@@ -9,14 +9,6 @@
 // include: sigmoid
 // include: gates
 
-struct Params {
-    map: Quads,
-    // Quads of a workgroup.
-    group_quads: u32,
-    channel_gate_stride: u32,
-    pooled_stride: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> input: array<Texel>;
 @group(0) @binding(2) var<storage, read> channel_gate: array<vec4<f32>>;

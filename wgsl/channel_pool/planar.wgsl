@@ -4,13 +4,6 @@
 // include: index
 // include: reduce
 
-struct Params {
-    channels: u32,
-    area: u32,
-    // Always 0; see shared/reduce.wgsl.
-    zero: u32,
-}
-
 const WORKGROUP: u32 = 64u;
 
 @group(0) @binding(0) var<uniform> params: Params;

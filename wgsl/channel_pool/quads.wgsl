@@ -5,12 +5,6 @@
 // include: texels
 // include: over_space
 
-struct Params {
-    map: Quads,
-    // Elements of a picture of the output.
-    output_stride: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> input: array<Texel>;
 @group(0) @binding(2) var<storage, read_write> output: array<f32>;

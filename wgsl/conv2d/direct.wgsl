@@ -22,32 +22,6 @@
 // include: slices
 #endif
 
-struct Params {
-    input: Quads,
-    output: Quads,
-    kernel_height: u32,
-    kernel_width: u32,
-    stride: u32,
-    padding: u32,
-    dilation: u32,
-    // Groups of PIXELS in a row of outputs, and from one pixel of a group to the next.
-    strips: u32,
-    spacing: u32,
-    blocks: u32,
-    // Blocks of a slice.
-    split_blocks: u32,
-    pictures: u32,
-    // Columns of `weight`.
-    weight_width: u32,
-    // Tiles of outputs that see the same quads of inputs, and how many those are.
-    group_tiles: u32,
-    group_quads: u32,
-    has_residual: u32,
-    relu: u32,
-    // Quads of a block.
-    block_quads: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 // A texel is one output's weights of four input channels, zero in the padding. Texels lie as they are
 // read: by tile, quad of inputs, row of the kernel, tap, output of the tile.

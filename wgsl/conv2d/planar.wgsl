@@ -7,22 +7,6 @@
 
 // include: relu
 
-struct Params {
-    in_channels: u32,
-    in_height: u32,
-    in_width: u32,
-    out_channels: u32,
-    out_height: u32,
-    out_width: u32,
-    kernel_height: u32,
-    kernel_width: u32,
-    stride: u32,
-    padding: u32,
-    dilation: u32,
-    has_residual: u32,
-    relu: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> input: array<f32>;
 // [kernel_height][kernel_width][in_channels][out_channels / 4], padded to 64 output channels.

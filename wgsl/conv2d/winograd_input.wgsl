@@ -10,13 +10,6 @@
 // include: texels
 // include: input
 
-struct Params {
-    input: Quads,
-    // Channels of point after point; a tile is a pixel.
-    points: Quads,
-    tile_columns: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(2) var<storage, read_write> points: array<vec4<f32>>;
 

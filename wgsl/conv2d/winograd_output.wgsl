@@ -8,15 +8,6 @@
 // include: texels
 // include: relu
 
-struct Params {
-    // Channels of point after point; a tile is a pixel.
-    points: Quads,
-    output: Quads,
-    tile_columns: u32,
-    has_residual: u32,
-    relu: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> points: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> bias: array<vec4<f32>>;

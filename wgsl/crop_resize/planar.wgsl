@@ -8,21 +8,6 @@
 // include: pixels
 // include: triangle
 
-struct Params {
-    width: u32,
-    height: u32,
-    capacity: u32,
-    shift_r: f32,
-    shift_g: f32,
-    shift_b: f32,
-    rest_r: f32,
-    rest_g: f32,
-    rest_b: f32,
-    std_r: f32,
-    std_g: f32,
-    std_b: f32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 // Its bytes, four a word.
 @group(0) @binding(1) var<storage, read> picture: array<u32>;

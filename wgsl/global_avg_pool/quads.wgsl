@@ -5,12 +5,6 @@
 // include: texels
 // include: over_space
 
-struct Params {
-    maps: array<Quads, 3>,
-    used: u32,
-    output_stride: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 // Where there are fewer, one is bound again.
 @group(0) @binding(1) var<storage, read> map0: array<Texel>;

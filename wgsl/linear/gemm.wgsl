@@ -7,23 +7,6 @@
 //
 // Constants: WORKGROUP invocations, whole subgroups, in each of SLICES. With ALIGNED, a row is a whole number of vec4.
 
-struct Params {
-    rows: u32,
-    inner: u32,
-    // vec4 in a row of inputs, padded to whole slices.
-    inner_quads: u32,
-    outputs: u32,
-    slices: u32,
-    slice_quads: u32,
-    // Slices of an invocation.
-    rounds: u32,
-    // Columns of `weight`.
-    weight_width: u32,
-    relu: u32,
-    // Always 0.
-    zero: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> count: array<u32>;
 #if ALIGNED

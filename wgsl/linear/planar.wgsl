@@ -6,17 +6,6 @@
 // more accurate. `finish` adds the slices and the bias. `pad` comes first where a row is no whole
 // number of vec4.
 
-struct Params {
-    rows: u32,
-    inner: u32,
-    // vec4 in a row of inputs, padded.
-    inner_quads: u32,
-    outputs: u32,
-    slices: u32,
-    slice_quads: u32,
-    relu: u32,
-}
-
 const ROWS: u32 = 8u;
 const LANES: u32 = 64u;
 

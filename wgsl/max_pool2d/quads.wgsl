@@ -8,14 +8,6 @@
 // include: texels
 // include: window
 
-struct Params {
-    input: Quads,
-    output: Quads,
-    kernel: u32,
-    stride: u32,
-    padding: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> input: array<Texel>;
 @group(0) @binding(2) var<storage, read_write> output: array<OutputTexel>;

@@ -2,16 +2,6 @@
 //
 // One invocation computes one bin of four channels, which share their sampling points.
 
-struct Params {
-    channels: u32,
-    height: u32,
-    width: u32,
-    rois: u32,
-    size: u32,
-    ratio: u32,
-    scale: f32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> features: array<f32>;
 @group(0) @binding(2) var<storage, read> boxes: array<vec4<f32>>;

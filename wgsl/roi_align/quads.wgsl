@@ -8,18 +8,6 @@
 // include: input
 // include: neighbours
 
-struct Params {
-    map: Quads,
-    rois: u32,
-    size: u32,
-    ratio: u32,
-    scale: f32,
-    // Elements of a picture of each buffer.
-    box_stride: u32,
-    count_stride: u32,
-    output_stride: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(2) var<storage, read> boxes: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> count: array<u32>;

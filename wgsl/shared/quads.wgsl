@@ -1,19 +1,4 @@
-/// Where the channels of maps lie, four a texel.
-struct Quads {
-    width: u32,
-    height: u32,
-    /// Texels for all channels of a pixel.
-    quads: u32,
-    /// Texels of a row of one quad.
-    pitch: u32,
-    /// Quads that stand side by side.
-    columns: u32,
-    /// Rows of a picture.
-    rows: u32,
-    /// Always 0: in a loop's bound it keeps compilers from unrolling.
-    zero: u32,
-    channels: u32,
-}
+// Where the channels of maps lie, four a texel: `Quads` of src/engine/kernels/layout.rs.
 
 /// Column and row of pixel (x, y) of quad q of picture n.
 fn texel(map: Quads, n: u32, q: u32, y: u32, x: u32) -> vec2<u32> {

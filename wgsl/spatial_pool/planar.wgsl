@@ -7,13 +7,6 @@
 // include: index
 // include: reduce
 
-struct Params {
-    channels: u32,
-    area: u32,
-    // Always 0; see shared/reduce.wgsl.
-    zero: u32,
-}
-
 const WORKGROUP: u32 = 256u;
 const PIXELS: u32 = 32u;
 const SLICES: u32 = WORKGROUP / PIXELS;

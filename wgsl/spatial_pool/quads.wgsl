@@ -8,16 +8,6 @@
 // include: quads
 // include: texels
 
-struct Params {
-    map: Quads,
-    // log2 of the slices of the channels, at most 3.
-    slice_bits: u32,
-    slice_quads: u32,
-    gate_stride: u32,
-    // Elements of a picture of the output.
-    output_stride: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> input: array<Texel>;
 @group(0) @binding(2) var<storage, read> channel_gate: array<vec4<f32>>;

@@ -9,14 +9,6 @@
 // include: texels
 // include: between
 
-struct Params {
-    input: Quads,
-    output: Quads,
-    // Quads of a block, and blocks of a picture.
-    block: u32,
-    blocks: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> input: array<Texel>;
 @group(0) @binding(2) var<storage, read_write> output: array<OutputTexel>;

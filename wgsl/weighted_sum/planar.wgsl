@@ -2,11 +2,6 @@
 
 // include: index
 
-struct Params {
-    elements: u32,
-    maps: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> weights: array<f32>;
 // Those from `maps` on are not read.

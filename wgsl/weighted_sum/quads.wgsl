@@ -3,14 +3,6 @@
 
 // include: texels
 
-struct Params {
-    // Texels of a picture.
-    texels: u32,
-    weight_stride: u32,
-    // Invocations of a picture.
-    invocations: u32,
-}
-
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> weights: array<f32>;
 @group(0) @binding(2) var<storage, read_write> output: array<OutputTexel>;

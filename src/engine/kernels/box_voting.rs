@@ -8,6 +8,7 @@ use crate::error::Result;
 shader_params! {
     struct Params {
         candidates: u32,
+        /// Candidates that a row speaks for.
         share: u32,
         columns: u32,
         capacity: u32,

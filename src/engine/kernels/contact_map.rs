@@ -10,6 +10,7 @@ shader_params! {
     struct Params {
         height: u32,
         width: u32,
+        /// Tiles in a row, and all of them.
         columns: u32,
         tiles: u32,
         least: f32,
@@ -17,7 +18,9 @@ shader_params! {
         clipped: f32,
         reach: u32,
         factor: f32,
+        /// 1 where there is a reference frame.
         referenced: u32,
+        /// Always 0: in a loop's bound it keeps compilers from unrolling.
         zero: u32,
     }
 }

@@ -9,6 +9,7 @@ use crate::error::{Error, Result};
 shader_params! {
     struct Params {
         map: Quads,
+        /// Elements of a planar picture.
         stride: u32,
     }
 }

@@ -9,6 +9,7 @@ shader_params! {
     struct Params {
         rois: u32,
         classes: u32,
+        /// Bit c: class c is wanted.
         class_mask: u32,
         picture_width: f32,
         picture_height: f32,
@@ -16,6 +17,7 @@ shader_params! {
         weight_y: f32,
         weight_width: f32,
         weight_height: f32,
+        /// One by the temperature.
         scale: f32,
     }
 }

@@ -5,12 +5,21 @@ use bytemuck::Zeroable;
 use crate::engine::graph::TensorId;
 use crate::engine::kernels::{Dispatch, Grid, Io, Plain, Recording, Work};
 use crate::engine::ops::IndirectGrid;
-use crate::engine::shader::{Shader, shader_params};
+use crate::engine::shader::{Shader, shader_params, shader_struct};
 use crate::error::Result;
+
+shader_struct! {
+    struct Rule {
+        capacity: u32,
+        items_per_count: u32,
+        workgroup_size: u32,
+        layers: u32,
+    }
+}
 
 shader_params! {
     struct Params {
-        rules: [[u32; 4]; MOST],
+        rules: [Rule; MOST],
         used: u32,
     }
 }
@@ -38,7 +47,7 @@ pub(crate) fn table(rules: &[IndirectGrid], count: TensorId, grids: TensorId) ->
     params.used = rules.len() as u32;
     for (to, rule) in params.rules.iter_mut().zip(rules) {
         let IndirectGrid { capacity, items_per_count, workgroup_size, layers } = *rule;
-        *to = [capacity as u32, items_per_count, workgroup_size, layers];
+        *to = Rule { capacity: capacity as u32, items_per_count, workgroup_size, layers };
     }
     let bindings = [("count", count), ("grids", grids)];
     Dispatch::new(&SHADER, "main", &params, &bindings, Grid::Workgroups([1, 1, 1]))

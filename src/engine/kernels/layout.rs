@@ -2,6 +2,7 @@
 
 use crate::engine::kernels::{Caps, MAX_WORKGROUPS};
 use crate::engine::precision::Precision;
+use crate::engine::shader::shader_struct;
 use crate::engine::shape::TensorSpec;
 
 /// The order of a tensor's values on a device, and what holds them.
@@ -18,31 +19,32 @@ pub enum Layout {
 /// Bytes to which rows are padded that are copied to textures: so a copy wants them.
 const PITCH: u32 = 256;
 
-/// Where the channels of a map `[C, H, W]` lie, four a texel, in a buffer or in a texture: mirror of
-/// `Quads` in `wgsl/shared/quads.wgsl`.
-///
-/// Texel (q, y, x) holds channels 4q to 4q + 3 of pixel (y, x), zeros past the last. Pictures stand one below the
-/// other, and so do quads; where maps are copied to textures, quads stand side by side in so many columns that both
-/// sides fit.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
-pub struct Quads {
-    /// Pixels of a row.
-    pub width: u32,
-    /// Rows of a map.
-    pub height: u32,
-    /// Texels for all channels of a pixel.
-    pub quads: u32,
-    /// Texels of a row of one quad; those behind the width are undefined.
-    pub pitch: u32,
-    /// Quads that stand side by side.
-    pub columns: u32,
-    /// Rows of a picture.
-    pub rows: u32,
-    /// 0, where a compiler must not know it.
-    pub zero: u32,
-    /// Channels.
-    pub channels: u32,
+shader_struct! {
+    /// Where the channels of a map `[C, H, W]` lie, four a texel, in a buffer or in a texture; for
+    /// `wgsl/shared/quads.wgsl`, too.
+    ///
+    /// Texel (q, y, x) holds channels 4q to 4q + 3 of pixel (y, x), zeros past the last. Pictures stand one below the
+    /// other, and so do quads; where maps are copied to textures, quads stand side by side in so many columns that both
+    /// sides fit.
+    #[derive(PartialEq, Eq)]
+    pub struct Quads {
+        /// Pixels of a row.
+        pub width: u32,
+        /// Rows of a map.
+        pub height: u32,
+        /// Texels for all channels of a pixel.
+        pub quads: u32,
+        /// Texels of a row of one quad; those behind the width are undefined.
+        pub pitch: u32,
+        /// Quads that stand side by side.
+        pub columns: u32,
+        /// Rows of a picture.
+        pub rows: u32,
+        /// 0, where a compiler must not know it.
+        pub zero: u32,
+        /// Channels.
+        pub channels: u32,
+    }
 }
 
 impl Quads {
@@ -112,7 +114,6 @@ impl Quads {
 mod tests {
     use super::*;
     use crate::engine::kernels::Kind;
-    use crate::engine::shader::{ParamLayout, Shader, Variant, reflect};
 
     /// Of an adapter that reads textures.
     fn caps(texture_side: u32) -> Caps {
@@ -188,16 +189,5 @@ mod tests {
         }
         let expected = (0..36).map(|i| (i / 6 * 100 + i / 3 % 2 * 10 + i % 3) as f32);
         assert_eq!(quads.unpack(&texels), expected.collect::<Vec<_>>());
-    }
-
-    #[test]
-    fn the_mirror_has_the_shaders_layout() {
-        let source = "// include: quads\nstruct Params { map: Quads, end: u32 }\n\
-            @group(0) @binding(0) var<uniform> params: Params;\n\
-            @compute @workgroup_size(1) fn main() { _ = params.end; }\n";
-        let params = ParamLayout { size: 36, fields: &[("map", 0), ("end", 32)] };
-        let shader = Shader { stem: "own", source, params };
-        reflect(&shader, &Variant::default()).expect("a struct of eight words");
-        assert_eq!(std::mem::size_of::<Quads>(), 32);
     }
 }

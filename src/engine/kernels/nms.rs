@@ -12,12 +12,15 @@ use crate::error::{Error, Result};
 shader_params! {
     struct Params {
         boxes: u32,
+        /// Words of 32 boxes in a row of the mask.
         words: u32,
         max_out: u32,
         iou_threshold: f32,
         min_score: f32,
         min_size: f32,
         has_classes: u32,
+        /// Always 0; see `rounded` in shared/boxes.wgsl. As part of a bound it keeps the compiler from
+        /// unrolling the loop, which takes seconds.
         zero: u32,
     }
 }

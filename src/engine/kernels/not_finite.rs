@@ -6,15 +6,30 @@ use crate::engine::kernels::count::count_tensor;
 use crate::engine::kernels::{Caps, Dispatch, Grid, Io, Kernel, Recording, Work, repeated};
 use crate::engine::ops::NotFinite;
 use crate::engine::ops::not_finite::{CHUNK, chunks};
-use crate::engine::shader::{Shader, Variant, shader_params};
+use crate::engine::shader::{Shader, Variant, shader_params, shader_struct};
 use crate::error::Result;
+
+shader_struct! {
+    struct Part {
+        /// Rows, of which a count says how many are in use, and elements of a row.
+        rows: u32,
+        row_elements: u32,
+        /// Chunks of this tensor and those before it.
+        end: u32,
+        /// Elements of a picture.
+        stride: u32,
+    }
+}
 
 shader_params! {
     struct Params {
-        parts: [[u32; 4]; INPUTS.len()],
+        parts: [Part; INPUTS.len()],
+        /// Tensors that there are; the other bindings are not read.
         used: u32,
         chunks: u32,
+        /// Where the first chunk's number goes.
         first: u32,
+        /// Elements of a picture.
         count_stride: u32,
         output_stride: u32,
     }
@@ -62,8 +77,12 @@ impl Kernel for Planar {
                 let spec = &recording.info(*id).spec;
                 let rows = spec.shape.0[0];
                 params.chunks += chunks(spec) as u32;
-                let row_elements = spec.shape.elements() / rows;
-                *part = [rows as u32, row_elements as u32, params.chunks, recording.stride(*id)];
+                *part = Part {
+                    rows: rows as u32,
+                    row_elements: (spec.shape.elements() / rows) as u32,
+                    end: params.chunks,
+                    stride: recording.stride(*id),
+                };
             }
             params.used = values.len() as u32;
             params.first = first;

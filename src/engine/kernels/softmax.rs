@@ -11,7 +11,9 @@ shader_params! {
     struct Params {
         rows: u32,
         columns: u32,
+        /// One by the temperature.
         scale: f32,
+        /// Always 0; see shared/reduce.wgsl.
         zero: u32,
     }
 }

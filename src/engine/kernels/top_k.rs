@@ -12,7 +12,9 @@ shader_params! {
         channels: u32,
         area: u32,
         k: u32,
+        /// k rounded up to a power of two.
         sort_size: u32,
+        /// Always 0: bounds that the compiler does not know keep it from unrolling loops.
         zero: u32,
     }
 }

@@ -54,8 +54,7 @@ mod tests {
     use crate::engine::shader::{ParamLayout, Shader};
     use crate::engine::shape::{Extent, TensorSpec};
 
-    static SHADER: Shader =
-        Shader { stem: "none", source: "", params: ParamLayout { size: 0, fields: &[] } };
+    static SHADER: Shader = Shader { stem: "none", source: "", params: ParamLayout::NONE };
 
     fn step(recording: &mut Recording, tensors: &[TensorId]) {
         let bindings: Vec<_> = tensors.iter().map(|t| ("x", *t)).collect();

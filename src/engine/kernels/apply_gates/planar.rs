@@ -11,6 +11,7 @@ shader_params! {
         channels: u32,
         height: u32,
         width: u32,
+        /// Always 0.
         zero: u32,
     }
 }

@@ -11,6 +11,7 @@ use crate::error::Result;
 shader_params! {
     struct Params {
         map: layout::Quads,
+        /// Quads of a workgroup.
         group_quads: u32,
         channel_gate_stride: u32,
         pooled_stride: u32,

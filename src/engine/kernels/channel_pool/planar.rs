@@ -9,6 +9,7 @@ shader_params! {
     struct Params {
         channels: u32,
         area: u32,
+        /// Always 0; see shared/reduce.wgsl.
         zero: u32,
     }
 }

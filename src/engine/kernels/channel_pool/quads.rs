@@ -12,6 +12,7 @@ use crate::error::Result;
 shader_params! {
     struct Params {
         map: layout::Quads,
+        /// Elements of a picture of the output.
         output_stride: u32,
     }
 }

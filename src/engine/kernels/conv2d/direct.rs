@@ -26,16 +26,21 @@ shader_params! {
         stride: u32,
         padding: u32,
         dilation: u32,
+        /// Groups of PIXELS in a row of outputs, and from one pixel of a group to the next.
         strips: u32,
         spacing: u32,
         blocks: u32,
+        /// Blocks of a slice.
         split_blocks: u32,
         pictures: u32,
+        /// Columns of `weight`.
         weight_width: u32,
+        /// Tiles of outputs that see the same quads of inputs, and how many those are.
         group_tiles: u32,
         group_quads: u32,
         has_residual: u32,
         relu: u32,
+        /// Quads of a block.
         block_quads: u32,
     }
 }

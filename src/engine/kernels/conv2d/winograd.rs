@@ -23,6 +23,7 @@ mod input {
     shader_params! {
         struct Params {
             input: Quads,
+            /// Channels of point after point; a tile is a pixel.
             points: Quads,
             tile_columns: u32,
         }
@@ -44,6 +45,7 @@ mod output {
 
     shader_params! {
         struct Params {
+            /// Channels of point after point; a tile is a pixel.
             points: Quads,
             output: Quads,
             tile_columns: u32,

@@ -10,6 +10,7 @@ shader_params! {
         channels: u32,
         area: u32,
         first: u32,
+        /// Always 0; see shared/reduce.wgsl.
         zero: u32,
     }
 }

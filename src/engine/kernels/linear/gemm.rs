@@ -18,13 +18,17 @@ shader_params! {
     struct Params {
         rows: u32,
         inner: u32,
+        /// vec4 in a row of inputs, padded to whole slices.
         inner_quads: u32,
         outputs: u32,
         slices: u32,
         slice_quads: u32,
+        /// Slices of an invocation.
         rounds: u32,
+        /// Columns of `weight`.
         weight_width: u32,
         relu: u32,
+        /// Always 0.
         zero: u32,
     }
 }

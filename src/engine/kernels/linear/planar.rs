@@ -13,6 +13,7 @@ shader_params! {
     struct Params {
         rows: u32,
         inner: u32,
+        /// vec4 in a row of inputs, padded.
         inner_quads: u32,
         outputs: u32,
         slices: u32,

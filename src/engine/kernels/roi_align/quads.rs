@@ -15,6 +15,7 @@ shader_params! {
         size: u32,
         ratio: u32,
         scale: f32,
+        /// Elements of a picture of each buffer.
         box_stride: u32,
         count_stride: u32,
         output_stride: u32,

@@ -13,9 +13,11 @@ use crate::error::Result;
 shader_params! {
     struct Params {
         map: layout::Quads,
+        /// log2 of the slices of the channels, at most 3.
         slice_bits: u32,
         slice_quads: u32,
         gate_stride: u32,
+        /// Elements of a picture of the output.
         output_stride: u32,
     }
 }

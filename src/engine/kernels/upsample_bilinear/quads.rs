@@ -11,6 +11,7 @@ shader_params! {
     struct Params {
         input: layout::Quads,
         output: layout::Quads,
+        /// Quads of a block, and blocks of a picture.
         block: u32,
         blocks: u32,
     }

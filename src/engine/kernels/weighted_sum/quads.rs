@@ -10,8 +10,10 @@ use crate::error::Result;
 
 shader_params! {
     struct Params {
+        /// Texels of a picture.
         texels: u32,
         weight_stride: u32,
+        /// Invocations of a picture.
         invocations: u32,
     }
 }

@@ -134,8 +134,7 @@ pub struct Config {
     pub rebuild_on_loss: bool,
     /// Runs that may be in flight on a GPU at a time, or be computed by the CPU; each takes memory once it is
     /// needed. Fewer callers than cores share all cores, one waiting for the other's sections; as many as there
-    /// are cores compute on one each, and so do the pictures of [`GpuDetector::detect_many`] where this is as
-    /// many.
+    /// are cores compute on one each.
     pub in_flight: usize,
     /// Pictures, or parts of pictures, of one size that a run on a GPU takes together where there are as many:
     /// in [`GpuDetector::detect_many`], and with [`Savings::regions`].

@@ -50,9 +50,9 @@ where
 
     /// Begins as many batches as may be in flight.
     fn fill(&mut self) {
-        let session = self.detector.session();
-        while self.begun.len() < session.ahead() {
-            let frames: Vec<Frame> = self.frames.by_ref().take(session.batch()).collect();
+        let batch = self.detector.session().batch();
+        while self.begun.len() < self.detector.config.in_flight.max(1) {
+            let frames: Vec<Frame> = self.frames.by_ref().take(batch).collect();
             if frames.is_empty() {
                 break;
             }

@@ -9,8 +9,6 @@ use std::time::Duration;
 use crate::detector::pool::{Pool, Slots};
 use crate::detector::{Config, Device};
 #[cfg(feature = "cpu")]
-use crate::engine::cores::{each, threads};
-#[cfg(feature = "cpu")]
 use crate::engine::cpu::{self, CpuPlan};
 use crate::engine::gpu::{Deadline, Inputs, Profile, Program, ProgramOptions};
 use crate::engine::graph::{Graph, StageTime, TensorId, Values};
@@ -168,27 +166,17 @@ impl Runner {
         deadline: Deadline,
     ) -> Result<(Vec<Values>, Vec<StageTime>)> {
         match self {
-            Self::Reference => {
-                together(pictures.iter().map(|given| graph.reference(given.inputs, keep)))
-            }
+            Self::Reference => one_by_one(pictures, |given| graph.reference(given.inputs, keep)),
             #[cfg(feature = "cpu")]
-            Self::Cpu(plan, turns) => {
-                let run = |given: &Given| {
-                    let deadline = deadline.of_run();
-                    let _turn = turns.take(deadline)?;
-                    let given = cpu::Given { tensors: given.inputs, picture: given.picture };
-                    plan.run_while(graph, given, &|stage| match deadline.is_over() {
-                        true => Err(deadline.error(&format!("the network, at stage `{stage}`"))),
-                        false => Ok(()),
-                    })
-                };
-                if pictures.len() < threads() {
-                    return together(pictures.iter().map(run));
-                }
-                let mut done: Vec<_> = pictures.iter().map(|_| None).collect();
-                each(pictures.iter().zip(&mut done), |(given, done)| *done = Some(run(given)));
-                together(done.into_iter().flatten())
-            }
+            Self::Cpu(plan, turns) => one_by_one(pictures, |given| {
+                let deadline = deadline.of_run();
+                let _turn = turns.take(deadline)?;
+                let given = cpu::Given { tensors: given.inputs, picture: given.picture };
+                plan.run_while(graph, given, &|stage| match deadline.is_over() {
+                    true => Err(deadline.error(&format!("the network, at stage `{stage}`"))),
+                    false => Ok(()),
+                })
+            }),
             Self::Gpu(slots) => {
                 let pictures: Vec<_> = pictures.iter().map(|given| given.inputs).collect();
                 let run = slots.run(&pictures, deadline.of_run()).await?;
@@ -198,13 +186,13 @@ impl Runner {
     }
 }
 
-/// The values of each run, and the times of all.
-fn together(
-    runs: impl Iterator<Item = Result<(Values, Vec<StageTime>)>>,
+fn one_by_one(
+    pictures: &[Given<'_>],
+    mut run: impl FnMut(&Given<'_>) -> Result<(Values, Vec<StageTime>)>,
 ) -> Result<(Vec<Values>, Vec<StageTime>)> {
     let (mut all, mut stages) = (Vec::new(), Vec::new());
-    for run in runs {
-        let (values, times) = run?;
+    for given in pictures {
+        let (values, times) = run(given)?;
         all.push(values);
         stages.extend(times);
     }

@@ -8,8 +8,6 @@ use crate::detector::gate::Gate;
 use crate::detector::pool::Pool;
 use crate::detector::runner::On;
 use crate::detector::{Config, Device, Savings};
-#[cfg(feature = "cpu")]
-use crate::engine::cores::threads;
 use crate::engine::gpu::{AdapterChoice, Gpu, GpuOptions};
 use crate::engine::kernels;
 use crate::engine::lock::lock;
@@ -143,19 +141,9 @@ impl Session {
         cfg!(feature = "cpu") && self.pool.is_none() && !reference
     }
 
-    /// Pictures that may run together: on a GPU in one run, on cores each on one of them.
+    /// Pictures that may run together.
     pub fn batch(&self) -> usize {
-        match &self.pool {
-            Some(_) => self.config.batch.max(1),
-            #[cfg(feature = "cpu")]
-            None if self.on_cores() && self.config.in_flight >= threads() => threads(),
-            None => 1,
-        }
-    }
-
-    /// Batches to begin before the first is waited for.
-    pub fn ahead(&self) -> usize {
-        self.pool.as_ref().map_or(1, |_| self.config.in_flight.max(1))
+        self.pool.as_ref().map_or(1, |_| self.config.batch.max(1))
     }
 
     /// The network for one picture at a time with inputs of `size`, height and width, in the precision that is
@@ -181,9 +169,7 @@ impl Session {
     pub async fn compiled(&self, key: Key) -> Result<Arc<Compiled>> {
         // What cannot do without it has one for both.
         let deepest = key.deepest || !self.model().variant.leaves_deepest();
-        // Cores take each picture for itself.
-        let batch = self.pool.as_ref().map_or(1, |_| key.batch);
-        let key = Key { deepest, batch, ..key };
+        let key = Key { deepest, ..key };
         let build = async || {
             let like = self.ready.best(|other| (other.precision == key.precision, other.deepest));
             let Key { size, precision, batch, proposals, deepest } = key;

@@ -7,9 +7,9 @@ use smr_gpu::engine::gpu::{Gpu, GpuOptions};
 use smr_gpu::engine::graph::Graph;
 use smr_gpu::engine::kernels::Caps;
 use smr_gpu::engine::lower::{KernelChoice, Request, lower};
-use smr_gpu::engine::ops::{self, Op};
+use smr_gpu::engine::ops::{self, Case, Op};
 use smr_gpu::engine::shape::{Extent, TensorSpec};
-use smr_gpu::verify::check::{Selection, Target, rows};
+use smr_gpu::verify::check::{Selection, Target, rows_of};
 
 /// The device that all tests of a process share; no adapter is a failure, never a skip.
 pub fn gpu() -> &'static Arc<Gpu> {
@@ -23,20 +23,19 @@ pub fn gpu() -> &'static Arc<Gpu> {
 /// Runs every case of the operation and reports all that fail.
 #[allow(dead_code, reason = "not every test crate runs operations")]
 pub fn check_op(name: &str) {
-    check_op_on(gpu(), name);
+    check_cases(gpu(), name, |_| true);
 }
 
-/// [`check_op`] on an adapter.
+/// [`check_op`] of the `wanted` cases on an adapter.
 #[allow(dead_code, reason = "not every test crate runs operations")]
-pub fn check_op_on(gpu: &Arc<Gpu>, name: &str) {
+pub fn check_cases(gpu: &Arc<Gpu>, name: &str, wanted: impl Fn(&Case) -> bool) {
     let entry = ops::find(name).expect("a registered operation");
-    assert!((entry.cases)().iter().any(|c| c.by_hand.is_some()), "{name} has no case by hand");
+    let cases: Vec<Case> = (entry.cases)().into_iter().filter(wanted).collect();
+    assert!(cases.iter().any(|c| c.by_hand.is_some()), "{name} has no case by hand");
     let target = Target::Gpu(gpu.clone());
-    let rows = rows(&target, entry, &Selection::default()).expect("a device that stays");
-    assert!(
-        rows.iter().any(|row| row.cases == (entry.cases)().len()),
-        "{name}: a case ran nowhere"
-    );
+    let rows = pollster::block_on(rows_of(&target, entry.name, &cases, &Selection::default()));
+    let rows = rows.expect("a device that stays");
+    assert!(rows.iter().any(|row| row.cases == cases.len()), "{name}: a case ran nowhere");
     let failures: Vec<String> = rows.into_iter().flat_map(|row| row.failures).collect();
     assert!(failures.is_empty(), "{}", failures.join("\n"));
 }

@@ -5,7 +5,8 @@
 // weights: with SPREAD one lane reads a texel of them and spreads it to its subgroup, without they are
 // read from one address, which compilers turn into scalar loads. With THREE_TAPS, the kernel is of 3 × 3, and the
 // taps of a row share the inputs that they have in common: the pixels of a strip lie as far apart as the
-// taps, or, with STRIDE_TWO, side by side.
+// taps, or, with STRIDE_TWO, side by side. With POINTWISE, it is of 1 × 1 without padding and its inputs lie in a
+// buffer: none is outside, and from quad to quad all places move by as much.
 //
 // A block of quads of input channels is summed for itself and then added to the total: shorter
 // sums lose fewer digits. With SPLIT, slices of a workgroup sum some of the blocks each, and the first adds them up.
@@ -144,6 +145,7 @@ fn texels(sums: Sums) -> array<vec4<f32>, 16> {
     );
 }
 
+#if !POINTWISE
 // Where the quad behind another lies. Division is slow.
 fn beside(corner: vec2<u32>) -> vec2<u32> {
     let map = params.input;
@@ -151,6 +153,7 @@ fn beside(corner: vec2<u32>) -> vec2<u32> {
     let below = vec2<u32>(0u, corner.y + map.height);
     return select(vec2<u32>(x, corner.y), below, x == map.columns * map.pitch);
 }
+#endif
 
 @compute @workgroup_size(WORKGROUP * SLICES)
 fn main(
@@ -228,6 +231,14 @@ fn main(
     let quads = first_quad + params.group_quads;
     var quad = first_quad + begin * block_quads;
     var corner = texel(params.input, picture, quad, 0u, 0u);
+#if POINTWISE
+    var places: array<u32, SPAN>;
+    for (var j = 0u; j < SPAN; j++) {
+        let pixel = vec2<u32>(min(left + j * step, width - 1u), top);
+        places[j] = texel_index(params.input, corner + pixel);
+    }
+    var moved = 0u;
+#endif
     var total = Sums();
     for (var block = 0u; block < split_blocks; block++) {
         var part = Sums();
@@ -237,6 +248,18 @@ fn main(
 #else
             let exists = quad < quads;
 #endif
+#if POINTWISE
+            if exists {
+                var strip: Strip;
+                for (var j = 0u; j < SPAN; j++) {
+                    strip[j] = loaded(input[places[j] + moved]);
+                }
+                part = add_tap(part, at, lane, &strip, 0u);
+            }
+            at += taps;
+            moved += params.input.pitch * height;
+            quad += 1u;
+#else
             for (var ky = 0u; ky < kernel_height; ky++) {
                 let in_y = top + ky * dilation;
                 let row = corner.y + min(in_y, height - 1u);
@@ -275,6 +298,7 @@ fn main(
             }
             quad += 1u;
             corner = select(corner, beside(corner), quad < quads);
+#endif
         }
         total = join(total, part);
     }

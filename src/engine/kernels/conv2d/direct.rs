@@ -61,6 +61,8 @@ const MOST_SPACING: usize = 4;
 enum Taps {
     /// One by one.
     One,
+    /// The one of a kernel of 1 × 1 without padding.
+    Pointwise,
     /// Of a kernel of 3 × 3 without stride: pixels as far apart as the taps are.
     Three,
     /// Of a kernel of 3 × 3 of stride 2, undilated: pixels side by side.
@@ -68,10 +70,13 @@ enum Taps {
 }
 
 impl Taps {
-    const ALL: [Self; 3] = [Self::One, Self::Three, Self::ThreeOfStrideTwo];
+    const ALL: [Self; 4] = [Self::One, Self::Pointwise, Self::Three, Self::ThreeOfStrideTwo];
 
     fn number(self) -> usize {
-        if self == Self::One { 1 } else { 3 }
+        match self {
+            Self::One | Self::Pointwise => 1,
+            Self::Three | Self::ThreeOfStrideTwo => 3,
+        }
     }
 
     /// `weights` says how those are stored in textures; for the maps see [`Recording::dispatch_maps`].
@@ -84,6 +89,9 @@ impl Taps {
             .with("SPLIT", split)
             .with("THREE_TAPS", self.number() == 3);
         let variant = variant.with("STRIDE_TWO", self == Self::ThreeOfStrideTwo);
+        // Where a subgroup spreads weights, all of it is to load them, and a texture has no places in a row.
+        let in_buffers = !spread && caps.input_layout() != Layout::Texture;
+        let variant = variant.with("POINTWISE", in_buffers && self == Self::Pointwise);
         variant.with("HALF_WEIGHT", spread && weights.is_half())
     }
 }
@@ -103,6 +111,7 @@ impl Form {
         let (taps, spacing) = match [kh, kw, op.stride, op.dilation] {
             [3, 3, 1, dilation @ 1..=MOST_SPACING] => (Taps::Three, dilation),
             [3, 3, 2, 1] => (Taps::ThreeOfStrideTwo, 1),
+            [1, 1, _, _] if op.padding == 0 => (Taps::Pointwise, 1),
             _ => (Taps::One, 1),
         };
         let most = if kh * kw == 1 { 8 } else { 4 };

@@ -36,7 +36,7 @@ impl<T: Uniform, const N: usize> Uniform for [T; N] {
     }
 }
 
-/// A shader's `Params`, which Rust declares for both: see [`shader_params`].
+/// A shader's `Params`, which Rust declares for both.
 #[derive(Clone, Copy, Debug)]
 pub struct ParamLayout {
     /// Size of the struct in bytes.

@@ -45,12 +45,14 @@ smr_gpu --version
 for operation in softmax nms top_k decode_detections; do
     smr_gpu check "$operation" --device gpu
 done
+smr_gpu check linear --device cpu
 # The same snaps as this machine's own program finds; rounding differs with the width of vectors. Under qemu a picture
 # takes minutes.
 native=${SMR_GPU_PROGRAM:-target/release/smr-gpu}
-for device in cpu gpu; do
+for device in cpu "cpu --precision int8" gpu; do
+    # shellcheck disable=SC2206
     detect=(
-        detect --json --quiet --weights small --mm-per-pixel 0.04 --timeout 1800 --device "$device" samples/mixed.png
+        detect --json --quiet --weights small --mm-per-pixel 0.04 --timeout 1800 --device $device samples/mixed.png
     )
     { "$native" "${detect[@]}"; smr_gpu "${detect[@]}"; } | python3 -c '
 import json, sys

@@ -557,7 +557,9 @@ mod tests {
         assert_eq!(of(3, 2, 1, 64), form(Taps::ThreeOfStrideTwo, 1, 4));
         assert_eq!(of(3, 2, 2, 64), form(Taps::One, 1, 4));
         assert_eq!(of(7, 2, 1, 3), form(Taps::One, 1, 1));
-        assert_eq!(of(1, 2, 1, 64), form(Taps::One, 1, 8));
+        assert_eq!(of(1, 2, 1, 64), form(Taps::Pointwise, 1, 8));
+        let padded = Conv2d { padding: 1, ..Conv2d::default() };
+        assert_eq!(Form::of(&padded, 64, 1, 1), form(Taps::One, 1, 8));
     }
 
     /// 64 channels of a pixel are 256 bytes; as 1 × 1 they are two blocks of sums.

@@ -5,12 +5,10 @@ cd "$(dirname "$0")/.."
 
 cargo clippy --locked --release --all-targets -- -D warnings
 
-# None of the features, as a program that embeds the detector has it, and with the tests that need none.
-cargo clippy --locked --release --lib --no-default-features -- -D warnings
+# Each feature alone compiles, without what tests bring; none, with the tests that need none.
 cargo clippy --locked --release --all-targets --no-default-features -- -D warnings
-# Each feature alone, with a test: its dependencies keep wgpu's the same, which are then checked once for all.
 for feature in image picture cpu embedded-weights serde eval simulator; do
-    cargo clippy --locked --release --lib --test layout --no-default-features --features "$feature" -- -D warnings
+    cargo clippy --locked --release --lib --no-default-features --features "$feature" -- -D warnings
 done
 
 # A program that embeds the detector gets few crates with it.

@@ -50,28 +50,17 @@ mod upsample_bilinear;
 #[path = "ops/weighted_sum.rs"]
 mod weighted_sum;
 
-/// What the cases with outputs by hand find wrong on a device.
-fn wrong_by_hand(gpu: std::sync::Arc<smr_gpu::engine::gpu::Gpu>) -> Vec<String> {
-    use smr_gpu::engine::ops::OPS;
-    use smr_gpu::verify::check::{Selection, Target, rows};
-    let target = Target::Gpu(gpu);
-    let mut failures = Vec::new();
-    for entry in OPS {
-        for case in (entry.cases)().into_iter().filter(|case| case.by_hand.is_some()) {
-            let selection = Selection { case: Some(case.name), ..Selection::default() };
-            let rows = rows(&target, entry, &selection).expect("a device that stays");
-            assert!(rows.iter().any(|row| row.cases > 0), "{}: a case ran nowhere", entry.name);
-            failures.extend(rows.into_iter().flat_map(|row| row.failures));
-        }
+/// Runs the cases with outputs by hand on a device.
+fn run_by_hand(gpu: &std::sync::Arc<smr_gpu::engine::gpu::Gpu>) {
+    for entry in smr_gpu::engine::ops::OPS {
+        support::check_cases(gpu, entry.name, |case| case.by_hand.is_some());
     }
-    failures
 }
 
 /// The cases with outputs by hand alone: `tests/run.sh quick` runs these.
 #[test]
 fn cases_by_hand() {
-    let failures = wrong_by_hand(support::gpu().clone());
-    assert!(failures.is_empty(), "{}", failures.join("\n"));
+    run_by_hand(support::gpu());
 }
 
 /// As compilers read the shaders that know how long loops are: this adapter's does not, if it is lavapipe.
@@ -80,8 +69,7 @@ fn loops_of_known_length_keep_the_bounds() {
     use smr_gpu::engine::shader::Replacement;
     let text = "fn bound(n: u32, zero: u32) -> u32 { return n; }\n".into();
     let seen = Replacement { file: "shared/bound".into(), text };
-    let failures = wrong_by_hand(support::gpu().with_replacement(seen));
-    assert!(failures.is_empty(), "{}", failures.join("\n"));
+    run_by_hand(&support::gpu().with_replacement(seen));
 }
 
 /// Bounds checks may change no bit, so that what the tests find with them holds without.

@@ -445,11 +445,12 @@ fn check_params(shader: &Shader, span: u32, fields: &[(String, u32)]) -> Result<
 mod tests {
     use super::*;
 
+    fn own(source: &'static str) -> Shader {
+        Shader { stem: "own", source, params: ParamLayout::NONE }
+    }
+
     fn place(source: &'static str) -> (String, u32) {
-        match reflect(
-            &Shader { stem: "own", source, params: ParamLayout::NONE },
-            &Variant::default(),
-        ) {
+        match reflect(&own(source), &Variant::default()) {
             Err(Error::Shader { file, line, .. }) => (file, line),
             other => panic!("{other:?}"),
         }
@@ -465,8 +466,7 @@ mod tests {
     #[test]
     fn a_line_of_the_expanded_text_is_a_line_of_one_file() {
         let source = "// include: relu\n// include: index\n";
-        let shader = Shader { stem: "own", source, params: ParamLayout::NONE };
-        let text = Expanded::new(&shader, &Variant::default(), &[]).expect("includes");
+        let text = Expanded::new(&own(source), &Variant::default(), &[]).expect("includes");
         for (number, content) in text.text.lines().enumerate() {
             let at = naga::SourceLocation {
                 line_number: number as u32 + 1,
@@ -515,8 +515,7 @@ mod tests {
             @compute @workgroup_size(1) fn a(@builtin(num_workgroups) n: vec3<u32>) {}
             @compute @workgroup_size(1) fn b(in: In) {}
             @compute @workgroup_size(1) fn c(@builtin(workgroup_id) id: vec3<u32>) {}";
-        let shader = Shader { stem: "own", source, params: ParamLayout::NONE };
-        let entries = reflect(&shader, &Variant::default()).expect("a shader").entries;
+        let entries = reflect(&own(source), &Variant::default()).expect("a shader").entries;
         let reads: Vec<bool> = entries.iter().map(|entry| entry.reads_grid).collect();
         assert_eq!(reads, [true, true, false]);
     }
@@ -524,8 +523,7 @@ mod tests {
     #[test]
     fn constants_are_declared() {
         let source = "@compute @workgroup_size(LANES) fn main() {}";
-        let shader = Shader { stem: "own", source, params: ParamLayout::NONE };
-        let reflection = reflect(&shader, &Variant::of(&[("LANES", 8)])).expect("a shader");
+        let reflection = reflect(&own(source), &Variant::of(&[("LANES", 8)])).expect("a shader");
         assert_eq!(reflection.entries[0].workgroup_size, [8, 1, 1]);
     }
 }

@@ -145,7 +145,6 @@ fn texels(sums: Sums) -> array<vec4<f32>, 16> {
     );
 }
 
-#if !POINTWISE
 // Where the quad behind another lies. Division is slow.
 fn beside(corner: vec2<u32>) -> vec2<u32> {
     let map = params.input;
@@ -153,7 +152,6 @@ fn beside(corner: vec2<u32>) -> vec2<u32> {
     let below = vec2<u32>(0u, corner.y + map.height);
     return select(vec2<u32>(x, corner.y), below, x == map.columns * map.pitch);
 }
-#endif
 
 @compute @workgroup_size(WORKGROUP * SLICES)
 fn main(
@@ -258,7 +256,6 @@ fn main(
             }
             at += taps;
             moved += params.input.pitch * height;
-            quad += 1u;
 #else
             for (var ky = 0u; ky < kernel_height; ky++) {
                 let in_y = top + ky * dilation;
@@ -296,9 +293,9 @@ fn main(
                 }
 #endif
             }
-            quad += 1u;
-            corner = select(corner, beside(corner), quad < quads);
+            corner = select(corner, beside(corner), quad + 1u < quads);
 #endif
+            quad += 1u;
         }
         total = join(total, part);
     }

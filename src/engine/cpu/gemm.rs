@@ -11,9 +11,9 @@ pub(super) use crate::engine::reference::vectorised;
 /// The order of [`Panels::multiply`]'s sums of `k` products, and of `more` values added to them.
 pub(super) fn order(numbers: Numbers, k: usize, more: usize) -> SumOrder {
     match numbers {
-        Numbers::F32 => SumOrder::serial(k).and(more),
         // NEON rounds to odd, which errs twice as far, two products and then their sum.
-        Numbers::Bf16 => SumOrder::serial(k).and(2 + more),
+        Numbers::Bf16 if cfg!(target_arch = "aarch64") => SumOrder::serial(k).and(2 + more),
+        Numbers::F32 | Numbers::Bf16 => SumOrder::serial(k).and(more),
         // Sums are exact. What is rounded is each input and weight, as the numbers that they stand for, both
         // scales, of what was rounded before, the sum as f32, and that by both scales.
         Numbers::Int8 => SumOrder::serial(1).and(10 + more),

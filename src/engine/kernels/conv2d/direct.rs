@@ -89,7 +89,7 @@ impl Taps {
             .with("SPLIT", split)
             .with("THREE_TAPS", self.number() == 3);
         let variant = variant.with("STRIDE_TWO", self == Self::ThreeOfStrideTwo);
-        // Where a subgroup spreads weights, all of it is to load them, and a texture has no places in a row.
+        // A subgroup that spreads weights must not part, and texels of a texture have no index.
         let in_buffers = !spread && caps.input_layout() != Layout::Texture;
         let variant = variant.with("POINTWISE", in_buffers && self == Self::Pointwise);
         variant.with("HALF_WEIGHT", spread && weights.is_half())
